@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.actuation.motors import motor_numbers, with_motor_numbers
-from tenscontrol.arrays import FloatArray
+from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics.held_inputs import held_value, refuse_load
 from tenscontrol.dynamics.model import Model
@@ -235,41 +235,40 @@ class BatchInputs:
         motion = nodes, velocities
         return initial_state(model, *motion, self.input, lambda: held, measured=False)[0]
 
-    def states(self, first: int, last: int) -> tuple[FloatArray, dict[int, str]]:
+    def states(self, runs: IntArray) -> tuple[FloatArray, dict[int, str]]:
         """Return the states at the start of some runs, and why others are refused: by number."""
-        structure = self.model.structure
-        count = last - first
-        base = self.base
-        N = self.some("nodes", first, last, base.nodes)
-        V = self.some("velocities", first, last, base.velocities)
+        structure, base = self.model.structure, self.base
+        N = self.some("nodes", runs, base.nodes)
+        V = self.some("velocities", runs, base.velocities)
         every = [array.transpose(0, 2, 1).reshape(len(array), -1) for array in (N, V)]
         rows, half = structure.free_rows, len(structure.free_rows)
-        states = np.empty((count, 2 * half))
+        states = np.empty((len(runs), 2 * half))
         states[:, :half], states[:, half:] = (array[:, rows] for array in every)
-        doubtful = ~self._clear(first, last, N, V, every)
+        doubtful = ~self._clear(runs, N, V, every)
         refused = {}
         for i in np.flatnonzero(doubtful):
+            run = int(runs[i])
             try:
-                states[i] = self.single(first + int(i))
+                states[i] = self.single(run)
             except (TypeError, ValueError) as error:
-                refused[first + int(i)] = str(error)
+                refused[run] = str(error)
         return states, refused
 
-    def some(self, name: str, first: int, last: int, usual: Any = None) -> FloatArray:
+    def some(self, name: str, runs: IntArray, usual: Any = None) -> FloatArray:
         """Return what some runs are given, with a first axis of one entry, or one a run."""
         array = self.given.get(name)
         if array is None:
             return np.asarray(usual)[None]
-        return array[first:last] if len(array) > 1 else array
+        return array[runs] if len(array) > 1 else array
 
     def _clear(
-        self, first: int, last: int, N: FloatArray, V: FloatArray, every: list[FloatArray]
+        self, runs: IntArray, N: FloatArray, V: FloatArray, every: list[FloatArray]
     ) -> np.ndarray:
         """Return of which runs nothing needs a closer look: bars, supports, and all numbers."""
         structure = self.model.structure
-        fine = np.ones(last - first, dtype=bool)
+        fine = np.ones(len(runs), dtype=bool)
         for name in self.given:
-            values = self.some(name, first, last)
+            values = self.some(name, runs)
             values = values.reshape(len(values), -1) if values.size else np.zeros((1, 0))
             lowest = least_value(name)
             fine &= ((values >= lowest) & (values <= validation.LARGEST)).all(axis=1)
@@ -301,7 +300,8 @@ class BatchInputs:
         for name in self.parameters if parameters else ():
             own.append((place, name))
             place += self.given[name].shape[1]
-        parts = [(start, self.some(name, first, last)) for start, name in own]
+        runs = np.arange(first, last)
+        parts = [(start, self.some(name, runs)) for start, name in own]
         count = max((len(values) for _, values in parts), default=1)
         u = np.zeros((count, coefficients.shape[1], place))
         u[:, :, : len(coefficients)] = coefficients.T

@@ -198,7 +198,7 @@ class Runner:
 
     def _first(self) -> tuple[int | None, FloatArray | None]:
         for run in range(self.scene.count):
-            states, refused = self.scene.states(run, run + 1)
+            states, refused = self.scene.states(np.array([run]))
             if not refused:
                 return run, states[0]
         return None, None
@@ -266,8 +266,7 @@ class Runner:
             return errors
 
         def estimate(some: IntArray) -> int:
-            first, last = int(some.min()), int(some.max()) + 1
-            starts = self.scene.states(first, last)[0][some - first]
+            starts = self.scene.states(some)[0]
             self._errors |= self._errors_by_tolerance(some, starts)
             resolved = self._again_at_once(some, starts)
             for run, start in zip(some.tolist(), starts, strict=True):
@@ -343,12 +342,14 @@ class Runner:
 
     def _done(self, first: int, last: int, loops: CompiledLoops | None) -> int:
         """Do so under their controllers, if there are any."""
-        states, refused = self.scene.states(first, last)
-        self.messages.update(refused)
-        self._keep(np.arange(first, last), 0, states[:, None])
-        self.nodes[list(refused)] = self.velocities[list(refused)] = np.nan
-        at = np.setdiff1d(np.arange(first, last), list(refused))
-        states = states[at - first]
+        at = np.arange(first, last)
+        states, refused = self.scene.states(at)
+        self._keep(at, 0, states[:, None])
+        if refused:
+            self.messages.update(refused)
+            self.nodes[list(refused)] = self.velocities[list(refused)] = np.nan
+            at = np.setdiff1d(at, list(refused))
+            states = states[at - first]
         column = 1
         if not self._has_no_memory:
             self._threads.__dict__.pop("made", None)
@@ -449,9 +450,10 @@ class Runner:
             for run in at[in_lanes[~spans.reaches_end]] if number else ():
                 self._replay(int(run), number)
         others = np.flatnonzero(ended)
-        kept[others], ended[others] = self._one_by_one(
-            at[others], states[others], _rows(held, others), span
-        )
+        if len(others):
+            kept[others], ended[others] = self._one_by_one(
+                at[others], states[others], _rows(held, others), span
+            )
         return kept, ended
 
     def _count(self, lanes: CoreLanes, runs: IntArray, counts: FloatArray) -> None:
@@ -464,7 +466,7 @@ class Runner:
     def _replay(self, run: int, number: int) -> None:
         """Bring an integrator of its own to where a run has come to, after so many spans."""
         integrator, work = self._of_run(run), Work()
-        state = self.scene.states(run, run + 1)[0][0]
+        state = self.scene.states(np.array([run]))[0][0]
         for passed, span in enumerate(self.spans[:number]):
             if self._stop.value:
                 return
@@ -697,7 +699,7 @@ class Runner:
         begins anew.
         """
         if run not in self._errors:
-            start = self.scene.states(run, run + 1)[0][0]
+            start = self.scene.states(np.array([run]))[0][0]
             self._errors[run] = self._estimated_error(run, start, self._resolved)
         return self._errors[run]
 
@@ -786,4 +788,4 @@ class Runner:
             return shared.of_parameters(name, names) if names else getattr(shared, name)
 
         function = shared.prepared.get(("shared", name, tuple(names)), build)
-        return function, [scene.some(parameter, run, run + 1)[0] for parameter in names]
+        return function, [scene.some(parameter, np.array([run]))[0] for parameter in names]
