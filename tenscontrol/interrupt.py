@@ -40,7 +40,8 @@ class Interruption:
     def __init__(self) -> None:
         self.signal: int | None = None  # the first that came
         self.active = self.raised = self.at_once = self.finishing = False
-        self.whole = self.terminated = False
+        self.whole = self.terminated = self.sends = False
+        self.loops = 0  # how many outermost ones have begun
 
     @property
     def status(self) -> int:
@@ -55,15 +56,19 @@ class Interruption:
             raise KeyboardInterrupt
         if not self.finishing:
             # Not threading.Thread, whose lock this handler may have been called within.
-            _thread.start_new_thread(self._insist, ())
+            _thread.start_new_thread(self._insist, (self.loops,))
 
-    def _insist(self) -> None:
+    def _insist(self, loop: int) -> None:
+        """Send a signal again to a loop that has not ended by then, to no other."""
         time.sleep(_PATIENCE)
-        if self.active and self.signal is not None and not (self.raised or self.finishing):
+        self.sends = True
+        is_at_work = self.active and self.loops == loop
+        if is_at_work and self.signal is not None and not (self.raised or self.finishing):
             if os.name == "posix":  # so that a call that waits wakes up
                 signal.pthread_kill(_main_thread(), self.signal)
             else:
                 signal.raise_signal(self.signal)
+        self.sends = False
 
 
 _STATE = Interruption()
@@ -100,6 +105,7 @@ class _Outermost:
             state.terminated = False
             raise SystemExit(128 + signal.SIGTERM)
         state.signal, state.raised, state.whole = None, False, self._whole
+        state.loops += 1
         try:
             state.active = True
             for number, default in _TAKEN:
@@ -113,6 +119,8 @@ class _Outermost:
     def __exit__(self, *_: object) -> None:
         state = _STATE
         state.active = False  # from here on nothing is raised, so that all handlers are restored
+        while state.sends:  # a signal that comes once they are would end the program
+            time.sleep(0)
         for number, handler in self._former.items():
             _signal.signal(number, handler)
         state.terminated = state.signal == signal.SIGTERM

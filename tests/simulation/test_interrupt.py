@@ -12,6 +12,7 @@ import pytest
 from scipy.sparse import csc_array
 
 import tenscontrol as tc
+from tenscontrol import interrupt
 from tenscontrol.control import Command, Controller, Status
 from tenscontrol.control.mpc.osqp_solver import OSQPSolver
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
@@ -185,6 +186,20 @@ def test_a_key_while_the_error_is_estimated(example, pressed_in):
         run = tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert run.time[-1] == 1.0
     assert run.error is None
+
+
+def test_a_key_is_sent_again_to_the_loop_it_came_to_alone(monkeypatch):
+    monkeypatch.setattr(interrupt, "_PATIENCE", 0.2)
+    with interruptible():
+        signal.raise_signal(signal.SIGINT)
+    time.sleep(0.1)
+    with interruptible() as came:
+        with finishing(came):
+            signal.raise_signal(signal.SIGINT)
+        end = time.perf_counter() + 0.3
+        while time.perf_counter() < end:
+            pass
+    assert came.signal == signal.SIGINT
 
 
 def test_before_the_first_step_there_is_no_motion(example, monkeypatch):
