@@ -23,6 +23,7 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.integrate.projection import projection
 from tenscontrol.optimize.parameters import BESIDE, Parameter, load_of_gravity, unit_load
+from tenscontrol.optimize.projection_slope import ProjectionSlope
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
 
@@ -147,8 +148,10 @@ class Derivatives:
         return self._of_equation(("slopes of gaps",), _gap_slopes)
 
     @cached_property
-    def _projection(self) -> tuple[ca.Function, IntArray, IntArray]:
-        return self._prepared(("slope of projection",), partial(_projection_slope, self.equation))
+    def _projection(self) -> ProjectionSlope | None:
+        if projection(self.equation) is None:
+            return None
+        return self._prepared(("slope of projection",), partial(ProjectionSlope, self.equation))
 
     def _of_equation(
         self, key: tuple[Any, ...], build: Callable[[Equation], ca.Function]
@@ -202,10 +205,6 @@ class Derivatives:
         if self._by_bars:
             by_bars = _stacked(next(outputs), half)
         return Slopes(by_state, by_input, by_parameters, by_supports, by_bars)
-
-    def by_state(self, x: FloatArray, u: FloatArray, taut: FloatArray) -> FloatArray:
-        """Return the derivatives of the accelerations by the state, shape (K, half, states)."""
-        return _stacked(evaluate_columns(self._jacobian, x, u, taut)[0], self.half)
 
     def _forces(
         self, x: FloatArray, u: FloatArray, taut: FloatArray, slope: FloatArray,
@@ -304,17 +303,7 @@ class Derivatives:
         And that by lengths and rates of bars, (K, states, 2 β), where these are driven. Of states
         one a column, and of inputs, where bars are driven.
         """
-        slope, row, column = self._projection
-        if slope.n_in() == 0:
-            return None
-        states, lengths = len(x), 2 * self.equation.layout.lengths
-        exact = np.zeros((x.shape[1], states, states + lengths))
-        given = [x]
-        if lengths:
-            assert u is not None  # then it is told
-            given.append(u)
-        exact[:, row, column] = evaluate_columns(slope, *given)[0].T
-        return exact[:, :, :states], exact[:, :, states:] if lengths else None
+        return None if self._projection is None else self._projection(x, u)
 
     def stretching(self, x: FloatArray, bars: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return rates of bars, m/s, shape (β,), and their derivative; 0 of others than some."""
@@ -450,25 +439,6 @@ def _gap_slopes(equation: Equation) -> ca.Function:
         ca.gradient(gap, x), by_held[: layout.strings, 0], by_held[layout.offset_rows, 0], by_time
     ]  # fmt: skip
     return Function("gap_slopes", [x, u, chosen], [ca.densify(output) for output in outputs])
-
-
-def _projection_slope(equation: Equation) -> tuple[ca.Function, IntArray, IntArray]:
-    """Return ``x -> entries`` of the derivative that are not zero, with their rows and columns.
-
-    Of ``(x, u)`` where bars are driven: also by their lengths, and by the rates of these.
-    """
-    exact, nowhere = projection(equation), np.zeros(0, dtype=int)
-    if exact is None:
-        return Function("nothing", [], []), nowhere, nowhere
-    kind, layout = ca.SX if exact.is_a("SXFunction") else ca.MX, equation.layout
-    x, u = kind.sym("x", equation.states), kind.sym("u", equation.inputs)
-    given = [x, u][: exact.n_in()]
-    slope = ca.jacobian(exact(*given), x)
-    if layout.lengths:
-        by_held = ca.jacobian(exact(*given), u)
-        slope = ca.horzcat(slope, *_by_orders(layout, by_held, u, layout.length_rows, 2))
-    row, column = map(np.array, slope.sparsity().get_triplet())
-    return Function("projection_slope", given, [slope.nz[:]]), row, column
 
 
 def law_symbols(parameters: Sequence[Parameter]) -> list[Any]:
