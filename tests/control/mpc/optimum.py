@@ -75,3 +75,90 @@ def fill_violations(x, A, low, high, first):
         for bound in (low[row], high[row]):
             if np.isfinite(bound):
                 x[first + i] = max(x[first + i], (bound - off[row]) / entry)
+
+
+def certain_inputs(program):
+    """Return the inputs, (α, N), at the optimum of a :class:`QuadraticProgram`, in long double.
+
+    Without a solution near by: the states are eliminated, and a dual active set on orthogonal
+    factors solves the rest (D. Goldfarb & A. Idnani, *Mathematical Programming* 27, 1983).
+    """
+    A, s = program.A.toarray().astype(np.longdouble), program.first
+    T = np.zeros((A.shape[1], 1 + A.shape[1] - s), np.longdouble)  # unknowns by 1 and what is free
+    T[s:, 1:] = np.eye(A.shape[1] - s)
+    for i in range(s):
+        others = np.flatnonzero(A[i] * (np.arange(A.shape[1]) != i))
+        T[i] = -(A[i, others] @ T[others]) / A[i, i]
+        T[i, 0] += program.l[i] / A[i, i]
+    P, rows = program.P.toarray().astype(np.longdouble), A[s:] @ T
+    start, T = T[:, 0], T[:, 1:]
+    low, high, rows = program.l[s:] - rows[:, 0], program.u[s:] - rows[:, 0], rows[:, 1:]
+    L = _cholesky(T.T @ P @ T)
+    target = -_forward(L, T.T @ (program.q + P @ start))
+    rows = _forward(L, rows.T).T
+    rows, bounds = np.concatenate([rows, -rows]), np.concatenate([high, -low])
+    size = np.sqrt((rows**2).sum(axis=1))
+    kept = (size > 0) & np.isfinite(bounds)
+    rows, bounds = rows[kept] / size[kept, None], bounds[kept] / size[kept]
+    y = _nearest_within(target, rows, bounds)
+    return program.inputs((start + T @ _forward(L[::-1, ::-1].T, y[::-1])[::-1]).astype(float))
+
+
+def _cholesky(H):
+    L = H.copy()
+    for i in range(len(L)):
+        L[i:, i] /= np.sqrt(L[i, i])
+        L[i + 1 :, i + 1 :] -= np.outer(L[i + 1 :, i], L[i + 1 :, i])
+        L[i, i + 1 :] = 0
+    return L
+
+
+def _forward(L, right):
+    x = right.copy()
+    for i in range(len(L)):
+        x[i] /= L[i, i]
+        x[i + 1 :] -= np.multiply.outer(L[i + 1 :, i], x[i])
+    return x
+
+
+def _nearest_within(target, rows, bounds):
+    """Return the point nearest to a target whose products with unit rows keep their bounds."""
+    x, active, y = target.copy(), [], np.zeros(0, np.longdouble)
+    Q, R = _orthogonal(rows[active])
+    while True:
+        off = (rows @ x - bounds) / (1 + np.abs(bounds))
+        off[active] = -np.inf
+        worst, own = int(off.argmax()), np.longdouble(0)
+        if off[worst] <= 1e-17:
+            return x
+        while worst not in active:
+            along, across = Q.T @ rows[worst], rows[worst] - Q @ (Q.T @ rows[worst])
+            across -= Q @ (Q.T @ across)
+            square = across @ across
+            falls = _forward(R[::-1, ::-1], along[::-1])[::-1]
+            ratios = np.where(falls > 0, y / np.where(falls > 0, falls, 1), np.inf)
+            full = (rows[worst] @ x - bounds[worst]) / square if square > 1e-28 else np.inf
+            step = min([full, *ratios])
+            assert np.isfinite(step), "no point keeps all rows"
+            x = x - (step * across if square > 1e-28 else 0)
+            y, own = y - step * falls, own + step
+            if step == full:
+                active, y = [*active, worst], np.append(y, own)
+            else:
+                first = int(ratios.argmin())
+                active, y = active[:first] + active[first + 1 :], np.delete(y, first)
+            Q, R = _orthogonal(rows[active])
+
+
+def _orthogonal(rows):
+    """Return Q, R of the transpose of rows, by Gram and Schmidt, twice."""
+    Q, R = np.zeros(rows.T.shape, np.longdouble), np.zeros((len(rows),) * 2, np.longdouble)
+    for k, row in enumerate(rows):
+        left = row.copy()
+        for _ in range(2):
+            products = Q.T @ left
+            R[:, k] += products
+            left = left - Q @ products
+        R[k, k] = np.sqrt(left @ left)
+        Q[:, k] = left / R[k, k]
+    return Q, R

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 import tenscontrol as tc
 from tenscontrol.control.mpc.sparse import Sparse
-from tests.control.mpc.optimum import exact_optimum, point_of_inputs
+from tests.control.mpc.optimum import certain_inputs, exact_optimum, point_of_inputs
 
 HORIZON, SAMPLES = 5, 6
 
@@ -72,3 +72,22 @@ def test_inputs_are_those_of_the_optimality_conditions(scene, seed):
         state = (sampled @ np.concatenate([state, held]))[: 2 * r]
     assert limited
     assert violated or problem.rows is None
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="no long double")
+@pytest.mark.parametrize("seed", [1, 7])
+def test_inputs_that_cost_little_keep_their_digits(seed):
+    """They are differences of numbers that are 1e4 times as large."""
+    rest = tc.prestress(tc.prism(), min_force_density=5.0)
+    model = tc.Model(rest.structure, strings=tc.LinearStrings(300.0))
+    plant = tc.linearize(model, rest, input="rest_length")
+    R = 1e-3 * np.array([6.0, 1.8, 0.56, 1.1, 3.7, 0.47, 0.79, 2.9, 16.0])
+    winches = tc.Winches(rate=0.1, ramp=True, substeps=10)
+    mpc = tc.MPC(plant, horizon=7, sample_time=0.02, R=R, winches=winches, min_force_density=4.0)
+    push = 2.6e-3 * np.random.default_rng(seed).normal(size=(2, plant.degrees_of_freedom))
+    nodes = plant.to_nodes(push[0])
+    speeds = (plant.basis @ (3 * push[1])).reshape(nodes.shape, order="F")
+    program = mpc.program(0.0, nodes, speeds)
+    assert mpc.command(0.0, nodes, speeds).status == "ok"
+    off = np.abs(certain_inputs(program) - mpc.plan).max()
+    assert off < 1e-10 * mpc.law.design.problem.level
