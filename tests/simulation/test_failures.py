@@ -71,7 +71,7 @@ def test_a_failure_in_the_first_step_leaves_the_start():
 def test_the_adaptive_method_fails_loudly_too():
     """A tolerance so loose that a bar loses its length and with it its direction."""
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e5))
-    options = {"rest_length": tight(), "tolerance": 2e-2, "project": False}
+    options = {"rest_length": tight(), "tolerance": 5e-2, "project": False}
     with pytest.raises(tc.simulation.SimulationError, match="dop853 stopped after") as info:
         tc.simulate(model, 2.0, method="dop853", **options)
     with pytest.warns(RuntimeWarning, match="bar length error .* smaller tolerance"):
@@ -83,7 +83,7 @@ def test_the_adaptive_method_fails_loudly_too():
 
 def test_one_that_stops_before_the_first_output_leaves_the_start():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e5))
-    options = {"rest_length": tight(), "tolerance": 2e-2, "project": False, "output_step": 2.0}
+    options = {"rest_length": tight(), "tolerance": 5e-2, "project": False, "output_step": 2.0}
     with pytest.raises(tc.simulation.SimulationError, match="dop853 stopped after") as info:
         tc.simulate(model, 2.0, method="dop853", **options)
     assert info.value.trajectory.time.tolist() == [0.0]
