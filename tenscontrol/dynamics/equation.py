@@ -13,6 +13,7 @@ from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.evaluator import Function, Prepared, evaluate_columns
 from tenscontrol.dynamics.forces import Forces
+from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.properties import cached_property
 from tenscontrol.structure.structure import Structure
@@ -110,6 +111,13 @@ class InputLayout:
         later = u.copy()
         later[..., -1] += time
         return later
+
+    def numbers(self, u: FloatArray, rows: slice, order: int = 0) -> FloatArray:
+        """Return some values of u, one a column, or their derivative of an order, (rows, K)."""
+        powers, count = self.degree + 1, u.shape[1]
+        coefficients = u[: powers * self.count].reshape(powers, self.count, count)
+        time = u[-1] if self.degree else np.zeros(count)
+        return polynomial_at(coefficients[:, rows].swapaxes(0, 1), time, order)
 
     def packed(self, coefficients: FloatArray, time: float) -> FloatArray:
         """Return u of coefficients of ascending powers, shape (count, degree + 1), at a time."""

@@ -1,4 +1,4 @@
-"""Derivative of putting bars on their lengths, at many states; see :func:`project`."""
+"""Derivative of :func:`project`, which puts bars on their lengths, at many states."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import numpy as np
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import evaluate_columns
-from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.integrate.projection import projection
 from tenscontrol.structure.blocks import Block, node_mass
 from tenscontrol.structure.structure import Structure
@@ -59,7 +58,8 @@ class ProjectionSlope:
         if is_driven:
             assert u is not None  # then it is told
             given.append(u)
-            lengths, rates = (self._driven(u, order) for order in range(2))
+            layout = self._layout
+            lengths, rates = (layout.numbers(u, layout.length_rows, k).T for k in range(2))
         before, after = x.T, evaluate_columns(self._exact, *given)[0].T
         is_near = np.asarray(np.isfinite(after).all(axis=1))
         after = np.where(is_near[:, None], after, before)
@@ -73,13 +73,6 @@ class ProjectionSlope:
             block.add(by_state, by_lengths, before, after, lengths, rates)
         by_state[~is_near] = by_lengths[~is_near] = np.nan  # lengths too far off
         return by_state, by_lengths if is_driven else None
-
-    def _driven(self, u: FloatArray, order: int) -> FloatArray:
-        """Return the lengths of bars under inputs, or their rates, (K, β)."""
-        layout, powers = self._layout, self._layout.degree + 1
-        coefficients = u[: powers * layout.count].reshape(powers, layout.count, -1)
-        time = u[-1] if layout.degree else np.zeros(u.shape[1])
-        return polynomial_at(coefficients[:, layout.length_rows].swapaxes(0, 1), time, order).T
 
     def _add_alone(
         self, by_state: FloatArray, by_lengths: FloatArray, x: FloatArray,

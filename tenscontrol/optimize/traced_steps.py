@@ -9,7 +9,6 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.equation import InputLayout
-from tenscontrol.dynamics.profile import polynomial_at
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import Jump, PlantRun
 
@@ -89,11 +88,7 @@ class TracedSteps:
 
     def support_motion(self, inputs: FloatArray, order: int) -> FloatArray:
         """Return E of inputs, one a column, or its derivative of an order, (d n, K)."""
-        layout, count = self.layout, inputs.shape[1]
-        powers = layout.degree + 1
-        coefficients = inputs[: powers * layout.count].reshape(powers, layout.count, count)
-        time = inputs[-1] if layout.degree else np.zeros(count)
-        return polynomial_at(coefficients[:, layout.offset_rows].swapaxes(0, 1), time, order)
+        return self.layout.numbers(inputs, self.layout.offset_rows, order)
 
     @property
     def end(self) -> float:

@@ -144,8 +144,9 @@ def _rates(steps: TracedSteps, derivatives: Derivatives) -> FloatArray:
         some = slice(begin, begin + block)
         x, u, taut = steps.states[:, :-1][:, some], steps.inputs[:, some], steps.taut[:, some]
         moved = _DIFFERENCE * derivatives.structure.size
+        before = derivatives.slope(x, u, taut)[half:]
         damped, stiff = (
-            _largest(derivatives, x, u, taut, start, rows, change)
+            _largest(derivatives, (x, u, taut, before), start, rows, change)
             for rows, change in (
                 (slice(half, None), moved / steps.length[some]), (slice(half), moved)
             )
@@ -155,15 +156,16 @@ def _rates(steps: TracedSteps, derivatives: Derivatives) -> FloatArray:
 
 
 def _largest(
-    derivatives: Derivatives, x: FloatArray, u: FloatArray, taut: FloatArray, start: FloatArray,
-    rows: slice, change: FloatArray | float,
+    derivatives: Derivatives, states: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    start: FloatArray, rows: slice, change: FloatArray | float,
 ) -> FloatArray:  # fmt: skip
     """Return how much the derivative of accelerations by some rows magnifies, at each state.
 
-    ``start`` are the vectors to begin with, (half, 2, 1), and ``change`` what is added of them.
+    ``states`` come with inputs, switches and accelerations; ``start`` are the vectors to begin
+    with, (half, 2, 1), and ``change`` what is added of them.
     """
+    x, u, taut, before = states
     half, count = derivatives.half, x.shape[1]
-    at_rest = derivatives.slope(x, u, taut)[half:, None]
     twice = [np.tile(given, 2) for given in (u, taut)]
     vectors = np.tile(start, count)
     for _ in range(_POWERS):
@@ -172,7 +174,7 @@ def _largest(
         near = np.repeat(x[:, None], 2, axis=1)
         near[rows] += change * vectors
         slopes = derivatives.slope(near.reshape(2 * half, -1), *twice)[half:]
-        vectors = (slopes.reshape(half, 2, -1) - at_rest) / change
+        vectors = (slopes.reshape(half, 2, -1) - before[:, None]) / change
     largest: FloatArray = np.linalg.norm(vectors, axis=0).max(axis=0)
     return largest
 
