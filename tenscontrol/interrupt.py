@@ -1,8 +1,9 @@
-"""Ctrl-C and SIGTERM in long loops: they end at a safe point, and what is done is kept.
+"""Ctrl-C or SIGTERM ends a long loop at a safe point.
 
-A long loop runs within :func:`interruptible` and calls :func:`check` between steps. Loops may be
-nested. Only signals that Python would act on by itself are taken over: a program with handlers of
-its own keeps them. Signals come to the main thread; loops in other threads run on.
+What is done by then is kept. A long loop runs within :func:`interruptible` and calls :func:`check`
+between steps. Loops may be nested. Only signals that Python would act on by itself are taken over:
+a program with handlers of its own keeps them. Signals come to the main
+thread; loops in other threads run on.
 """
 
 from __future__ import annotations
