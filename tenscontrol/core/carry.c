@@ -8,9 +8,18 @@
 
    along the path of the step. Of each string r is a polynomial in time where it is out: it is known
    at samples of the path, as is the gap, whose zeros say where it is out. So both integrals are sums
-   of accelerations at the samples, with a weight for each string. Where a force is continuous at its
-   border, r grows from zero and the next order, what r does by moving the nodes, is O(h^4) of the
-   velocities. What is said of strings holds for contacts. */
+   of accelerations at the samples, with a weight for each string. What is said of strings holds for
+   contacts.
+
+   The next order is what dq does, by J, the derivative of the accelerations by positions. Where a force
+   is continuous at its border, r grows from zero: after one switch at h - s, dq is as s^3, and with it
+   J dq at the end of the step, which takes one evaluation. What it adds is
+
+     s/4 J dq of velocities, s^2/20 J dq of positions.
+
+   Parts of h and h^2 in place of s/4 and s^2/20 leave the least of it, wherever in the step the switch
+   is. J is that of the strings that pull at the end of the step: a string that has switched counts
+   after its switch alone. */
 #include <string.h>
 
 #include "motion.h"
@@ -21,8 +30,11 @@ enum { PATH = 3 };
 /* Coefficients of the polynomials of degree 2 that are 1 at one sample and 0 at the others. */
 static const double LAGRANGE[PATH][PATH] = {{1, -3, 2}, {0, 4, -4}, {0, -1, 2}};
 
+/* They leave a twelfth of what a switch at the start of the step adds at most, and a seventh. */
+static const double NEXT_OF_VELOCITIES = 0.23, NEXT_OF_POSITIONS = 0.043;
+
 SHARED size_t carry_size(const Scene *s) {
-  return 3 * PATH * (size_t)s->switches + 6 * (size_t)s->free;
+  return (3 * PATH + 1) * (size_t)s->switches + 7 * (size_t)s->free;
 }
 
 /* Adds what the Lagrange polynomials, and they times 1 - t, have as integrals from 0 to t. */
@@ -94,6 +106,7 @@ static void weigh_some(const Tried *step, int m, const Number *rooms, int some, 
     const double times = lane(&count, i), sign = 1 - 2 * lane(step->taut + of[i], in[i]);
     if (times == 0) continue;
     put(lane(switches, in[i]) + times, switches, in[i]);
+    if (lane(room + PATH - 1, i) < 0) put(sign, weights + 2 * PATH * m + of[i], in[i]);
     for (int j = 0; j < PATH; ++j) {
       put(sign * lane(plain + j, i), weights + 2 * j * m + of[i], in[i]);
       put(sign * lane(falling + j, i), weights + (2 * j + 1) * m + of[i], in[i]);
@@ -101,31 +114,45 @@ static void weigh_some(const Tried *step, int m, const Number *rooms, int some, 
   }
 }
 
+/* Positions in the middle of a step, on its path; no force that is asked for there depends on
+   velocities. */
+WIDE static void middle_by(const Number *restrict x, const Number *restrict x1,
+                           const Number *restrict slope, const Number *restrict slope1, Number h,
+                           Number *restrict y, int half) {
+  for (int i = 0; i < half; ++i) {
+    const Number v = x[half + i], v1 = x1[half + i], a = slope[half + i], a1 = slope1[half + i];
+    y[i] = (x[i] + x1[i]) / 2 + h * (5. / 32 * (v - v1) + h / 64 * (a + a1));
+    y[half + i] = v;
+  }
+}
+
 /* Adds to x, the end of a step, what its switches change, and sets the strings that pull then, in the
-   runs that are meant. Returns how many switches there were. `defect` becomes what the next order
-   adds to xdot at the end, if it is wanted. */
+   runs that are meant. Returns how many switches there were. The accelerations in `slope` become what
+   they change by moving the nodes. */
 SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut,
-                    Number *defect) {
-  const int m = span->switches, half = span->states / 2;
-  const Number h = step->h;
-  Number *rooms = span->carried, *weights = rooms + PATH * m;
-  Number *y = weights + 2 * PATH * m, *dx = y + 2 * half, *a = dx + 2 * half;
-  Number switches = all(0);
+                    Number *slope) {
+  const Scene *s = span->scene;
+  const int m = span->switches, half = span->states / 2, first = s->clustered ? 0 : s->slacking;
+  const Number h = step->h, end = step->time + h;
+  Number *rooms = span->carried, *weights = rooms + PATH * m, *flips = weights + 2 * PATH * m;
+  Number *y = flips + m, *dx = y + 2 * half, *a = dx + 2 * half, *flipped = a + 2 * half;
+  Number *pulls = span->chosen, *gap = span->gap1, switches = all(0);
   const Some *some = list(span, span->marked);
   const Number *scale;
   int of[WIDTH], in[WIDTH], waiting = 0;
-  make_path(span, step);
-  on_path(span, h, all(0.5), y);
+  middle_by(step->x, step->x1, step->slope, step->slope1, h, y, half);
   gap_at(span, y, step->time + 0.5 * h, some, span->gap, 0);
   scale = gap_scales(span, step->time);
+  for (int k = 0; k <= 2 * PATH; ++k)
+    memset(weights + k * m + first, 0, (m - first) * sizeof *weights);
   for (int k = 0; k < some->count; ++k) {
     const int i = some->which[k];
     const Number sign = 2 * step->taut[i] - 1, band = BAND * scale[i];
     rooms[PATH * i] = sign * span->gap0[i] + band;
     rooms[PATH * i + 1] = sign * span->gap[i] + band;
     rooms[PATH * i + 2] = sign * span->gap1[i] + band;
+    for (int j = 0; j <= 2 * PATH; ++j) weights[j * m + i] = all(0);
   }
-  memset(weights, 0, 2 * PATH * m * sizeof *weights);
   for (int k = 0; k < some->count; ++k)
     for (int i = some->which[k], j = 0; j < WIDTH; ++j) {
       if (!is_in(meant, j) || lane(span->marked + i, j) == 0) continue;
@@ -139,21 +166,26 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   memset(dx, 0, 2 * half * sizeof *dx);
   for (int j = 0; j < PATH; ++j) {
     const Input input = input_at(span, step->time + j / (PATH - 1.) * h);
-    const Number *at = j == 0 ? step->x : j == 1 ? y : step->x1, *plain = weights + 2 * j * m;
-    weighed_accelerations(span->scene, at, &input, plain, plain + m, a, a + half, span->work);
+    const Number *at = j == 0 ? step->x : j == 1 ? y : step->x1;
+    weighed_accelerations(s, at, &input, some, j < PATH - 1 ? 2 : 3, weights + 2 * j * m, a,
+                          span->work);
     for (int i = 0; i < half; ++i) {
       dx[half + i] += h * a[i];
       dx[i] += h * h * a[half + i];
     }
   }
   for (int i = 0; i < 2 * half; ++i) dx[i] += x[i];
-  restore_bars(span, dx, step->time + h);
-  for (int i = 0; i < 2 * half; ++i) x[i] = choice(meant, dx[i], x[i]);
-  if (defect) {
-    slope_at(span, x, step->time + h, step->taut, defect);
-    for (int i = 0; i < 2 * half; ++i) defect[i] -= step->slope1[i];
+  memcpy(pulls, step->taut, m * sizeof *pulls);
+  for (int k = 0; k < some->count; ++k) pulls[some->which[k]] += flips[some->which[k]];
+  slope_at(span, dx, end, pulls, slope);
+  for (int i = 0; i < half; ++i) {
+    const Number change = slope[half + i] -= step->slope1[half + i] + flipped[i];
+    dx[i] += NEXT_OF_POSITIONS * h * h * change;
+    dx[half + i] += NEXT_OF_VELOCITIES * h * change;
   }
-  gap_at(span, x, step->time + h, 0, span->gap, 0);
-  for (int i = 0; i < m; ++i) taut[i] = choice(meant, truth(span->gap[i] > 0), taut[i]);
+  restore_bars(span, dx, end);
+  gap_at(span, dx, end, 0, gap, span->within);
+  for (int i = 0; i < 2 * half; ++i) x[i] = choice(meant, dx[i], x[i]);
+  for (int i = 0; i < m; ++i) taut[i] = choice(meant, truth(gap[i] > 0), taut[i]);
   return switches;
 }

@@ -196,21 +196,25 @@ SHARED void slope_and_bars(const Scene *s, const Number *state, const Input *inp
 }
 
 SHARED void weighed_accelerations(const Scene *s, const Number *state, const Input *input,
-                                  const Number *one, const Number *other, Number *a, Number *b,
+                                  const Some *some, int count, const Number *weights, Number *to,
                                   Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v, *ends, *end_rates;
+  Number *forces[] = {w.f, w.g, w.a};
   nodes_of(s, state, &p, &v, &w);
   ends = moved(p, input->offset, w.ends, s->entries);
   end_rates = moved(v, input->offset_rate, w.end_rates, s->entries);
   if (s->dimension == 2)
-    weighed_2(s, p, ends, end_rates, input->strings, one, other, w.a, w.b, &w);
+    weighed_2(s, ends, end_rates, input->strings, some, count, weights, forces, &w);
   else
-    weighed_3(s, p, ends, end_rates, input->strings, one, other, w.a, w.b, &w);
-  for (int i = 0; i < s->free; ++i) {
-    const int row = s->free_row ? s->free_row[i] : i;
-    a[i] = w.a[row];
-    b[i] = w.b[row];
+    weighed_3(s, ends, end_rates, input->strings, some, count, weights, forces, &w);
+  memset(w.v, 0, s->entries * sizeof *w.v);
+  for (int m = 0; m < count; ++m, to += s->free) {
+    Number *a = s->free_row ? w.b : to;
+    if (s->dimension == 2) accelerations_2(s, p, w.v, forces[m], 0, a, &w);
+    else accelerations_3(s, p, w.v, forces[m], 0, a, &w);
+    if (s->free_row)
+      for (int i = 0; i < s->free; ++i) to[i] = a[s->free_row[i]];
   }
 }
 

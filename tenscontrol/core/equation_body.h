@@ -246,47 +246,41 @@ static void N(bar_densities)(const Scene *s, const Number *p, const Number *v, c
   for (int i = 0; i < s->block_bars; ++i) density[s->block_bar[i]] = -w->unknowns[s->right_place[i]];
 }
 
-/* Adds the pull of a few strings, those whose weights are not zero, by one weight and by another. */
+/* Adds the pull of some strings by each of their weights. */
 static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                       const Number *one, const Number *other, Number *f, Number *g) {
-  for (int i = 0; i < s->segments; ++i) {
-    const int start = s->segment_start[i], end = s->segment_end[i];
+                       const Some *some, int count, const Number *weights, Number **forces) {
+  for (int j = 0; j < some->count && some->which[j] < s->slacking; ++j) {
+    const int i = some->which[j], start = s->segment_start[i], end = s->segment_end[i];
     const Number stiffness = numbers(s->stiffness)[i], damping = numbers(s->damping)[i];
     Number segment[D], change[D], length, rate, gamma;
-    if (!any((one[i] != 0) | (other[i] != 0))) continue;
     N(difference)(p, start, end, segment);
     N(difference)(v, start, end, change);
     N(pulling_length)(segment, u[i], &length);
     N(length_rate)(segment, change, length, &rate);
     gamma = force_density(law_of(s), stiffness, damping, length, rate, u[i]);
-    for (int k = 0; k < D; ++k) {
-      const Number pull = gamma * segment[k];
-      f[start + k] += one[i] * pull;
-      f[end + k] -= one[i] * pull;
-      g[start + k] += other[i] * pull;
-      g[end + k] -= other[i] * pull;
+    for (int m = 0; m < count; ++m) {
+      const Number pull = weights[m * s->switches + i] * gamma;
+      for (int k = 0; k < D; ++k) {
+        forces[m][start + k] += pull * segment[k];
+        forces[m][end + k] -= pull * segment[k];
+      }
     }
   }
 }
 
-/* Accelerations that what switches gives, each counted by one weight, and by another. */
-static void N(weighed)(const Scene *s, const Number *p, const Number *ends, const Number *rates,
-                       const Number *u, const Number *one, const Number *other, Number *a,
-                       Number *b, const Work *w) {
-  const Number *weights[] = {one, other};
-  Number *forces[] = {w->f, w->g}, *to[] = {a, b};
-  memset(w->f, 0, s->entries * sizeof(Number));
-  memset(w->g, 0, s->entries * sizeof(Number));
-  if (s->slacking && !s->clustered) N(pull_by)(s, ends, rates, u, one, other, w->f, w->g);
-  for (int k = 0; k < 2; ++k) {
-    if (s->slacking && s->clustered) N(pull)(s, ends, rates, u, weights[k], forces[k], w);
+/* Forces of what switches, counted by each of its weights. */
+static void N(weighed)(const Scene *s, const Number *ends, const Number *rates, const Number *u,
+                       const Some *some, int count, const Number *weights, Number **forces,
+                       const Work *w) {
+  for (int m = 0; m < count; ++m) memset(forces[m], 0, s->entries * sizeof(Number));
+  if (s->slacking && !s->clustered) N(pull_by)(s, ends, rates, u, some, count, weights, forces);
+  for (int m = 0; m < count; ++m) {
+    const Number *own = weights + m * s->switches;
+    if (s->slacking && s->clustered) N(pull)(s, ends, rates, u, own, forces[m], w);
     for (int i = 0; i < s->grounds; ++i)
       if (s->ground[i].first_switch >= 0)
-        N(touch)(s, i, ends, rates, weights[k] + s->slacking + s->ground[i].first_switch,
-                 forces[k]);
+        N(touch)(s, i, ends, rates, own + s->slacking + s->ground[i].first_switch, forces[m]);
   }
-  memset(w->v, 0, s->entries * sizeof(Number));
-  for (int k = 0; k < 2; ++k) N(accelerations)(s, p, w->v, forces[k], 0, to[k], w);
 }
 
 /* The gap of one string, and its rate where rates are asked for. */

@@ -90,11 +90,11 @@ SHARED Number crossings(Span *span, const Tried *step) {
   const Number *scale, *taut = step->taut;
   Number *marks = span->marked;
   Number *gap0 = span->gap0, *rate0 = span->inside, *gap1 = span->gap1, *rate1 = span->within;
-  Number square = all(0), count = all(0);
-  Truth finite;
+  Number count = all(0);
+  Truth finite = all(0) < 1;
   if (!m) return count;
-  for (int i = 0; i < n; ++i) square += step->x1[i] * step->x1[i];
-  finite = square < INFINITY; /* a state that is not finite is not searched */
+  /* A state that is not finite is not searched. */
+  for (int i = 0; i < n; ++i) finite &= positive(step->x1[i]) < INFINITY;
   if (span->goes_on) {
     memcpy(gap0, gap1, m * sizeof *gap0);
     memcpy(rate0, rate1, m * sizeof *rate0);

@@ -38,16 +38,16 @@ typedef struct {
 } Span;
 
 /* Of equation.c: memory of one evaluation; by inputs at one time xdot, where what pulls and presses is
-   given, or null for what the state says; accelerations by the forces of
-   what can switch, each counted by one weight and by another, forces on all entries, and gaps: of all
-   that can switch, or at least of some. Where no force depends on velocities, rates of gaps need not be asked for. Where
-   lengths are driven, xdot with the force densities of all bars, N/m: of bars that are redundant, those
-   of a set that holds the others. */
+   given, or null for what the state says; accelerations by the forces of some that can switch, counted
+   by each of at most three rows of weights, (count, switches), that are 0 of others; forces on all
+   entries, and gaps: of all that can switch, or at least of some. Where no force depends on velocities,
+   rates of gaps need not be asked for. Where lengths are driven, xdot with the force densities of all
+   bars, N/m: of bars that are redundant, those of a set that holds the others. */
 SHARED size_t equation_work_size(const Scene *scene);
 SHARED void slope_of(const Scene *scene, const Number *state, const Input *input,
                      const Number *taut, Number *slope, Number *work);
 SHARED void weighed_accelerations(const Scene *scene, const Number *state, const Input *input,
-                                  const Number *one, const Number *other, Number *a, Number *b,
+                                  const Some *some, int count, const Number *weights, Number *to,
                                   Number *work);
 SHARED void forces_of(const Scene *scene, const Number *state, const Input *input,
                       const Number *taut, Number *forces, Number *work);
@@ -108,7 +108,8 @@ SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, voi
                        Number *places);
 SHARED Number switch_over(Span *span, Truth meant, const Number *x, Number time, Number *taut);
 
-/* Of carry.c: so many strings in a step are not landed on, if what they change can be added to it. */
+/* Of carry.c: so many strings in a step are not landed on, if what they change can be added to it. It
+   leaves gaps at the end, and their rates, as `crossings` does. */
 enum { MANY_SWITCHES = 12 };
 SHARED size_t carry_size(const Scene *scene);
 SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut,

@@ -99,7 +99,7 @@ static Landing land(Rk4 *m, Number crossed, int cuts) {
     now.switches = switch_over(span, cut.found, m->x1, m->time + now.taken, m->taut);
   }
   if (any(carries)) {
-    now.carried = carry(span, carries, &step, m->x1, m->taut, 0);
+    now.carried = carry(span, carries, &step, m->x1, m->taut, m->y);
     now.switches += now.carried;
   }
   return now;

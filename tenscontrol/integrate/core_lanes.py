@@ -192,7 +192,7 @@ class FixedStepLanes(CoreLanes):
         """See :meth:`CoreLanes.work_of`."""
         steps, tries, landings, switches, missed, carries, carried = (int(c) for c in counts)
         return Work(
-            steps=steps + landings, evaluations=4 * tries + 2 * landings + carries,
+            steps=steps + landings, evaluations=4 * tries + 2 * (landings + carries),
             switches=switches, missed=missed, carried=carried,
         )  # fmt: skip
 

@@ -309,7 +309,7 @@ def _work_in_core(progress: Progress, steps: int) -> Work:
     """Return the work of RK4 in the core, in so many steps and those that switches cut off."""
     return Work(
         steps=steps + progress.landings,
-        evaluations=4 * progress.tries + 2 * progress.landings + progress.carries,
+        evaluations=4 * progress.tries + 2 * (progress.landings + progress.carries),
         switches=progress.switches,
         missed=progress.missed,
         carried=progress.carried,

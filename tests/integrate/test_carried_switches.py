@@ -72,6 +72,17 @@ def test_steps_too_long_for_their_switches_end_sooner(case, exact):
         assert off(run, exact) < most
 
 
+def test_what_carried_switches_do_by_moving_the_nodes_is_added():
+    """Without it errors are 1.9e-5 and 1.6e-7 in the same steps."""
+    case = tower(30)
+    exact = simulated(case, method="dop853", tolerance=1e-11, error="none")
+    for tolerance, most, evaluations in ((1e-4, 8e-6, 260), (1e-6, 1e-7, 700)):
+        run = simulated(case, tolerance=tolerance, error="none")
+        assert run.work.carried > 0.99 * run.work.switches
+        assert run.work.evaluations < evaluations
+        assert off(run, exact) < most
+
+
 def test_outputs_within_steps_across_switches_are_as_good_as_the_ends():
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
@@ -129,7 +140,7 @@ def test_all_that_the_core_knows_can_be_carried(kind):
         loads = np.stack([np.zeros_like(pull), 20 * pull], axis=-1)
         how["external_force"] = tc.Profile([0, 0.1], loads)
     exact = tc.simulate(model, 0.1, tolerance=1e-11, **how)
-    for settings, most in (({"tolerance": 1e-4}, 3e-5), ({"method": "rk4", "step": 2e-3}, 3e-4)):
+    for settings, most in (({"tolerance": 1e-4}, 1e-4), ({"method": "rk4", "step": 2e-3}, 3e-4)):
         run = tc.simulate(model, 0.1, **settings, **how)
         assert run.work.carried > 0
         assert np.abs(run.nodes - exact.nodes).max() < most
