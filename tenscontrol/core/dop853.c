@@ -50,7 +50,7 @@ static const double PATH_OF_POSITIONS = 1.61, PATH_OF_VELOCITIES = 5.52;
 static const double OF_POSITIONS = 1. / 24, OF_VELOCITIES = 1. / 6;
 enum { CARRY_ORDER = 4 };
 
-/* So many steps of order 5 follow one whose switches are carried. */
+/* So many steps of order 5 follow one whose switches are carried, or that is too long for it. */
 enum { SHORT_FOLLOWING = 2 };
 
 /* Under a loose tolerance a step of order 8 with switches in it is thrown away, and steps of order 5 go
@@ -142,6 +142,7 @@ static void step_of(Dop853 *m, Number h, Number *x1) {
   const int n = m->span->states;
   const Number *x = m->x;
   Number *K = m->K, *y = m->y;
+  memcpy(K, m->slope, n * sizeof *K);
   STAGE(1); STAGE(2); STAGE(3); STAGE(4); STAGE(5); STAGE(6);
   STAGE(7); STAGE(8); STAGE(9); STAGE(10); STAGE(11);
   sum_end(x, h, K, x1, n);
@@ -337,7 +338,6 @@ static Truth try_step(Dop853 *m) {
   Number *slope1 = m->K + STAGES * n, *short_slope1 = m->short_slopes + SHORT_STAGES * n;
   Truth good, bad;
   m->pulls = m->taut;
-  memcpy(m->K, m->slope, n * sizeof *m->K);
   memcpy(m->started, m->taut, m->span->switches * sizeof *m->taut);
   step_by_order(m, h, m->x1);
   now->h = now->taken = h;
@@ -607,6 +607,7 @@ static Truth end_carried(Dop853 *m, Truth meant, Truth *thrown) {
     ended |= good;
   }
   now->step = choice(*thrown, now->h * now->factor, now->step);
+  now->short_left = choice(*thrown, all(SHORT_FOLLOWING), now->short_left);
   now->rejections += truth(*thrown);
   return ended;
 }

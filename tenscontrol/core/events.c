@@ -62,6 +62,26 @@ static inline Number marked(Number mark, Truth is_met, Truth is_out) {
   return choice(is_met & (mark == 0), choice(is_out, all(1), all(2)), mark);
 }
 
+/* Marks what the ends of a step tell of: what is out at the end, or was between them. */
+WIDE static void mark_by_ends(const Number *restrict taut, const Number *restrict scale,
+                              const Number *restrict gap0, const Number *restrict rate0,
+                              const Number *restrict gap1, const Number *restrict rate1, Number h,
+                              Number *restrict marks, int m) {
+  for (int i = 0; i < m; ++i) {
+    const Number sign = sign_of(taut[i]), band = BAND * scale[i];
+    const Number room0 = sign * gap0[i] + band, room1 = sign * gap1[i] + band;
+    const Truth is_out = room1 < 0;
+    const Truth meet = meet_outside(room0, room1, -sign * rate0[i], sign * rate1[i], h);
+    marks[i] = marked(all(0), is_out | meet, is_out);
+  }
+}
+
+WIDE static Truth are_finite(const Number *restrict x, int n) {
+  Truth are = all(0) < 1;
+  for (int i = 0; i < n; ++i) are &= positive(x[i]) < INFINITY;
+  return are;
+}
+
 /* Positions in the middle of a step, and velocities, by the cubic with those at its ends. */
 static void middle_of(Span *span, const Tried *step) {
   const int half = span->states / 2;
@@ -85,16 +105,15 @@ static void gap_at_rest(Span *span, const Number *x, Number time, const Some *so
 /* Marks strings that may switch within a step with 1, and with 2 those that come back in; returns how
    many they are. */
 SHARED Number crossings(Span *span, const Tried *step) {
-  const int m = span->switches, n = span->states;
+  const int m = span->switches;
   const Number h = step->h;
   const Number *scale, *taut = step->taut;
   Number *marks = span->marked;
   Number *gap0 = span->gap0, *rate0 = span->inside, *gap1 = span->gap1, *rate1 = span->within;
   Number count = all(0);
-  Truth finite = all(0) < 1;
+  Truth finite;
   if (!m) return count;
-  /* A state that is not finite is not searched. */
-  for (int i = 0; i < n; ++i) finite &= positive(step->x1[i]) < INFINITY;
+  finite = are_finite(step->x1, span->states); /* a state that is not is not searched */
   if (span->goes_on) {
     memcpy(gap0, gap1, m * sizeof *gap0);
     memcpy(rate0, rate1, m * sizeof *rate0);
@@ -103,13 +122,7 @@ SHARED Number crossings(Span *span, const Tried *step) {
   }
   gap_at(span, step->x1, step->time + h, 0, gap1, rate1);
   scale = gap_scales(span, step->time);
-  for (int i = 0; i < m; ++i) {
-    const Number sign = sign_of(taut[i]), band = BAND * scale[i];
-    const Number room0 = sign * gap0[i] + band, room1 = sign * gap1[i] + band;
-    const Truth is_out = room1 < 0;
-    const Truth meet = meet_outside(room0, room1, -sign * rate0[i], sign * rate1[i], h);
-    marks[i] = marked(all(0), is_out | meet, is_out);
-  }
+  mark_by_ends(taut, scale, gap0, rate0, gap1, rate1, h, marks, m);
   if (velocity_dependent(span->scene)) {
     Number *gap = span->gap, *end_gap = span->rooms, *slack = span->chosen;
     /* The border of a damped string has other tangents than its stretch: look at the middle. */

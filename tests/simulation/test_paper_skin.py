@@ -192,6 +192,7 @@ def test_invariants_hold_where_trajectories_do_not():
         run = motion(scene(*SLACK), 5.0, tolerance=1e-9)
     assert 1.0 < run.trusted_until < 3.0
     assert np.ptp(run.energy) < 1e-6 * run.energy[0]
-    assert np.abs(run.momentum).max() < 1e-12
+    # On paths velocities have the round-off of positions over the step.
+    assert np.abs(run.momentum).max() < 1e-11
     assert np.abs(run.angular_momentum).max() < 1e-8
     assert np.abs(run.bar_length_error).max() < 1e-8
