@@ -96,7 +96,7 @@ class BarDistances:
 def bar_distances(structure: Structure, nodes: FloatArray) -> BarDistances:
     """Return how far the bars are from one another in a shape."""
     pairs = _all_pairs(structure.bars)
-    corners = _corners(structure.bars, nodes[:, :, None], pairs, np.zeros(len(pairs), dtype=int))
+    corners = _corners(structure.bars, nodes, pairs)
     distance, s, t, inside = _apart(corners)
     side = np.zeros(len(pairs))
     if structure.dimension == 3:
@@ -115,12 +115,16 @@ def _without_joined(bars: IntArray, pairs: IntArray) -> IntArray:
     return np.asarray(pairs[~joined])
 
 
-def _corners(bars: IntArray, nodes: FloatArray, pairs: IntArray, k: IntArray) -> FloatArray:
+def _corners(
+    bars: IntArray, nodes: FloatArray, pairs: IntArray, k: IntArray | None = None
+) -> FloatArray:
     """Return where ends of first bars are, from ends of second ones, shape (3, d, m).
 
-    From start to start, from start to end, and from end to start, in columns k of nodes (d, n, K).
+    From start to start, from start to end, and from end to start; of nodes (d, n), or in columns k
+    of nodes (d, n, K).
     """
-    a, b, c, d = np.moveaxis(nodes[:, bars[pairs].reshape(-1, 4), k[:, None]], 2, 0)
+    ends = bars[pairs].reshape(-1, 4)
+    a, b, c, d = np.moveaxis(nodes[:, ends] if k is None else nodes[:, ends, k[:, None]], 2, 0)
     return np.stack([a - c, b - c, a - d])
 
 
@@ -535,13 +539,15 @@ class BarMotion:
         if np.abs((end - first[:, :, 0]).mean(axis=1)).max() > _DRIFT * self._size:  # as in a fall
             nodes = np.arange(first.shape[1])
             first, end = _beside_mean(first), _beside_mean(end)
-        middle, (low, high) = first[:, :, half], _bounds(first, end)
+        middle, (low, high) = np.ascontiguousarray(first[:, :, half]), _bounds(first, end)
         moved = np.linalg.norm(np.maximum(high - middle, middle - low), axis=0)
         reach = (moved + motion.strays(nodes))[self._bars].max(axis=1)
         pairs = self._pairs_within(middle, reach, least, float(motion.begin[half]))
         if least is not None:  # those that touch would be the nearest
             pairs = self._separate(pairs)
-        apart = self._apart_at(motion, pairs, np.full(len(pairs), half), least)
+        apart = _apart(_corners(self._bars, middle, pairs))[0]
+        if least is not None:
+            least.see(apart, np.full(len(pairs), motion.begin[half]), pairs)
         pairs = pairs[apart - reach[pairs].sum(axis=1) <= _limit(least)]
         return self._separate(pairs) if least is None and len(pairs) else pairs
 
@@ -574,7 +580,7 @@ class BarMotion:
             own = np.repeat(np.arange(len(bars)), _NEIGHBOURS)
             pairs = np.sort(np.column_stack([own, near.ravel()]), axis=1)
             pairs = self._separate(_without_joined(bars, pairs[pairs[:, 0] != pairs[:, 1]]))
-            corners = _corners(bars, nodes[:, :, None], pairs, np.zeros(len(pairs), dtype=int))
+            corners = _corners(bars, nodes, pairs)
             least.see(_apart(corners)[0], np.full(len(pairs), time), pairs)
             if not len(pairs):  # all neighbours share a node
                 return self._every().bars
@@ -605,8 +611,7 @@ class BarMotion:
 
     def _separate(self, pairs: IntArray) -> IntArray:
         """Return pairs without those that touch in the shape of the structure."""
-        nodes = self._structure.nodes[:, :, None]
-        apart = _apart(_corners(self._bars, nodes, pairs, np.zeros(len(pairs), dtype=int)))[0]
+        apart = _apart(_corners(self._bars, self._structure.nodes, pairs))[0]
         return np.asarray(pairs[apart > _TOUCHING * self._size])
 
     def _close_blocks(
