@@ -38,7 +38,7 @@ _SHARE = 0.95
 
 # Of the lowest modes, more are found than asked for, so that equal ones are not torn apart. The
 # shift from zero, and the ω² that are lost in round-off, as parts of the stiffness.
-_MORE, _SHIFT, _LOST = 4, 1e-15, 1e-16
+_MORE, _SHIFT, _LOST = 4, 1e-15, 4e-16
 
 # A stiffness this far from symmetric, relative to its size, is not that of a rest.
 _ROUND = 1e-9
@@ -139,7 +139,7 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
     The lowest modes are found by Lanczos' method on the inverse of the sparse stiffness (ARPACK;
     Lehoucq, Sorensen & Yang 1998), shifted by little from zero. Damping is not approximated: the
     poles of a damped plant are those of ``s² + s D + K``, by Arnoldi's method on its inverse.
-    Squared frequencies have an error of round-off of the largest: those below 1e-16 of it are
+    Squared frequencies have an error of round-off of the largest: those below 4e-16 of it are
     zero.
 
     Examples
