@@ -38,6 +38,10 @@ _GIVE, _REFINEMENTS = 1e-6, 100
 # Power iterations for the largest singular value.
 _POWERS = 20
 
+# Extents of a shape that differ by less than this factor are alike, and an axis with less than this
+# part along x, y or z is across it.
+_ALIKE, _ALONG = 2.0, 1e-12
+
 # A segment shorter than this part of its string has no direction to pull in.
 _NO_LENGTH = 1e-12
 
@@ -141,13 +145,27 @@ def principal_axes(structure: Structure, tolerance: float) -> tuple[FloatArray, 
 
 def picture_axes(structure: Structure) -> tuple[FloatArray, FloatArray]:
     """Return the axes of the affine picture, one a row, and how far the shape extends, m, (d,)."""
-    d = structure.dimension
     centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
-    axes = np.eye(d)
+    axes = np.eye(structure.dimension)
     if not structure.rollers:
         axes = np.linalg.svd(np.linalg.qr(centred.T, mode="r"))[2]
+        axes = _along_coordinates(axes, np.linalg.norm(axes @ centred, axis=1))
     sizes = np.linalg.norm(axes @ centred, axis=1)
     return axes, np.where(sizes > _RANK_TOLERANCE * sizes.max(), sizes, sizes.max() or 1.0)
+
+
+def _along_coordinates(axes: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return axes of which those with like extents, descending, are turned towards x, y and z.
+
+    Any do where the shape is as long. Along the strings of a net they leave an equation for each
+    direction, with few entries, where round-off would choose them across.
+    """
+    from scipy.linalg import qr
+
+    ends = np.flatnonzero(sizes[1:] < sizes[:-1] / _ALIKE) + 1
+    alike = np.split(axes, ends)
+    turned = np.vstack([qr(own.T @ own, pivoting=True)[0][:, : len(own)].T for own in alike])
+    return np.where(np.abs(turned) > _ALONG, turned, 0.0)
 
 
 def affine_picture(structure: Structure) -> csr_array:

@@ -180,6 +180,31 @@ def test_a_mean_level_fills_no_factors(monkeypatch):
     assert 0 < max(longest) < 40
 
 
+def test_factors_of_a_net_fill_little_faster_than_it_grows(monkeypatch):
+    """Any order of elimination leaves n log n entries of a net of n knots, or more.
+
+    Along its strings motions that keep lengths are apart: one chain for each string.
+    """
+    from scipy.sparse import linalg
+
+    # By singular values, axes of equal extents are across the strings of these two.
+    nets = [tc.net(side, side, 0.1, 0.01, fixed="edges") for side in (32, 64)]
+    rests = [tc.prestress(net, 10.0) for net in nets]
+    factorize, entries = linalg.splu, []
+
+    def counted(*args, **kwargs):
+        factors = factorize(*args, **kwargs)
+        entries[-1].append(factors.L.nnz / factors.shape[0])
+        return factors
+
+    monkeypatch.setattr(linalg, "splu", counted)
+    for rest in rests:
+        entries.append([])
+        assert rest.stability.is_stable
+        assert entries[-1][0] < 2
+    assert 1 < sum(entries[1]) / sum(entries[0]) < 4**0.3
+
+
 def test_a_tall_tower_is_super_stable_and_its_lowest_stiffness_is_of_a_beam():
     """Twice as high: a beam that is free at its ends is softer by 2⁴ a unit length."""
     lowest = []
