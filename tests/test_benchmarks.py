@@ -197,8 +197,7 @@ def test_growth(printed, monkeypatch):
     module = import_module("tests.benchmarks.growth")
     module.forget_peak()
     monkeypatch.setattr(module, "forget_peak", lambda: None)  # takes longer than most routines
-    monkeypatch.setattr(module, "REPEATS", 1)
-    text = printed("growth", "--stages 1 2 --whole 2")
+    text = printed("growth", "--stages 1 2 --whole 2 --repeats 1")
     for what in import_module("tests.benchmarks.growth").ROUTINES:
         lines = [line for line in text.splitlines() if line.startswith(f"{what} ")]
         assert len(lines) >= 4, what  # time and memory of two towers

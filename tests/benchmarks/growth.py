@@ -4,10 +4,16 @@ Run: ``python -m tests.benchmarks.growth``. Towers of prisms, 24 members a stage
 9 members a stage, towers of fewer prisms with skins on their polygons, 12 members a stage, and
 square nets with held edges, 7 strings a stage, which no string controls where they are flat. A
 routine is left out of larger towers where smaller ones predict more time or memory than the budget.
-Memory is the largest of the process while the routine runs, less that before it; Linux alone says
-it. Threads of linear algebra cost processor time where other programs run:
-``OPENBLAS_NUM_THREADS=1`` keeps it to one. The last table compares sparse routines of statics and
-modes with whole decompositions: the largest difference, and the time of both.
+
+All sizes are measured alike. The road is taken ``--repeats`` times at each, anew from the structure
+on, so that nothing is remembered from the time before; a routine's least time counts, and its
+largest memory. What the process imports and builds once, whatever the structure, is left out. Time
+is that of the program. The time of the system, which mainly hands out memory and differs up to
+fivefold from turn to turn, is printed apart. Memory is the largest of the process while the routine
+runs, less that before it; Linux alone says it. Threads of linear algebra cost processor time where
+other programs run: ``OPENBLAS_NUM_THREADS=1`` keeps it to one. The last table compares sparse
+routines of statics and modes with whole decompositions: the largest difference, and the time of
+both.
 
 Strings are linear, a hundred times as stiff as their γ. The plant has rest lengths as its input; it
 is reduced to 20 modes for LQR and for MPC with a horizon of 20 samples of 0.02 s. Their first
@@ -20,6 +26,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -36,6 +43,9 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.tables import aligned, shown
 from tests.benchmarks.command_line import options
+
+if sys.platform != "win32":
+    import resource
 
 
 def square_net(stages: int) -> tc.Structure:
@@ -61,9 +71,8 @@ STAGES = (10, 30, 100, 300, 1000, 3000)
 WHOLE = (10, 20, 40)
 LEVEL, SAMPLE_TIME, COUNT, HORIZON = 10.0, 0.02, 20, 20
 
-# Shorter runs are repeated, and the least time counts; and what an exponent is not fitted to.
-SHORT, REPEATS = 0.5, 3
-MEASURABLE = {"seconds": 0.02, "memory": 2e7}
+# What an exponent is not fitted to.
+MEASURABLE = {"seconds": 0.02, "system": 0.02, "memory": 2e7}
 
 # Least and largest exponent by which the next size is predicted, and sizes it is fitted to.
 EXPONENTS, FITTED = (1.0, 3.0), 4
@@ -72,7 +81,7 @@ EXPONENTS, FITTED = (1.0, 3.0), 4
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
         __doc__, arguments, structures=tuple(STRUCTURES), stages=STAGES, whole=WHOLE,
-        seconds=60.0, gigabytes=2.0, last="MPC step",
+        seconds=60.0, gigabytes=2.0, last="MPC step", repeats=3,
     )  # fmt: skip
     budget = {"seconds": given.seconds, "memory": 1e9 * given.gigabytes}
     every = list(ROUTINES)
@@ -80,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         generate, last = STRUCTURES[what]
         names = every[: min(every.index(given.last), every.index(last)) + 1]
         print(f"{what}, members:")
-        print(table(growth(generate, given.stages, names, budget)) + "\n")
+        print(table(growth(generate, given.stages, names, budget, given.repeats)) + "\n")
     print("sparse ways against whole decompositions: largest difference, processor s of both")
     print(f"{'stages':>6s}  {'what':24s} {'difference':>10s} {'sparse':>8s} {'whole':>8s}")
     for stages in given.whole:
@@ -93,11 +102,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time, s, and memory, bytes, of one routine at one size; or why it was not run."""
+    """Time, s, and memory, bytes, that one routine takes at one size; or why it was not run."""
 
     routine: str
-    members: int
+    members: int = 0
     seconds: float = np.nan
+    system: float = np.nan
     memory: float = np.nan
     note: str = ""
 
@@ -154,7 +164,7 @@ ROUTINES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "prestress check": lambda results: tc.prestress(
         results["structure"], results["prestress search"].force_density
     ),
-    "stability": lambda results: replace(results["prestress search"]).stability,
+    "stability": lambda results: results["prestress search"].stability,
     "linearize": linearized,
     "equilibrium": balanced,
     "20 modes": lambda results: tc.modes(results["linearize"], few(results["linearize"])),
@@ -180,48 +190,57 @@ def few(plant: tc.LinearPlant) -> int:
 
 def growth(
     generate: Callable[[int], tc.Structure], stages: Sequence[int], routines: Sequence[str],
-    budget: dict[str, float],
+    budget: dict[str, float], repeats: int,
 ) -> list[Cost]:  # fmt: skip
     """Return the cost of each routine on each tower, as far as the budget goes."""
-    first: dict[str, Any] = {"stages": 2, "generate": generate}
-    for name in routines:  # some import what they need
-        first[name] = ROUTINES[name](first)
-    first.clear()
+    road(generate, 2, routines)  # some import what they need
     costs: list[Cost] = []
     for count in stages:
-        results: dict[str, Any] = {"stages": count, "generate": generate}
-        tower = generate(count)
-        members = len(tower.strings) + len(tower.bars)
+        structure = generate(count)
+        members = len(structure.strings) + len(structure.bars)
+        notes = {
+            name: beyond([cost for cost in costs if cost.routine == name], members, budget)
+            for name in routines
+        }
+        within = [name for name in routines if not notes[name]]
+        turns = [road(generate, count, within) for _ in range(repeats)]
         for name in routines:
-            costs.append(measured(name, results, members, costs, budget))
+            if notes[name]:
+                costs.append(Cost(name, members, note=notes[name]))
+                continue
+            least = min((turn[name] for turn in turns), key=lambda cost: cost.seconds)
+            most = max(turn[name].memory for turn in turns)
+            costs.append(replace(least, members=members, memory=most))
     return costs
 
 
-def measured(
-    name: str,
-    results: dict[str, Any],
-    members: int,
-    costs: Sequence[Cost],
-    budget: dict[str, float],
-) -> Cost:
-    """Run a routine, add its result to those before it, and return what it costs."""
-    note = beyond([cost for cost in costs if cost.routine == name], members, budget)
-    if note:
-        return Cost(name, members, note=note)
-    forget_peak()
-    base, spent = memory("VmRSS"), np.inf
-    try:
-        for _ in range(REPEATS):
-            start = process_time()
+def road(
+    generate: Callable[[int], tc.Structure], stages: int, routines: Sequence[str]
+) -> dict[str, Cost]:
+    """Run routines one after the other, each with the results of those before it."""
+    results: dict[str, Any] = {"stages": stages, "generate": generate}
+    costs = {}
+    for name in routines:
+        forget_peak()
+        base, start = memory("VmRSS"), spent()
+        try:
             results[name] = ROUTINES[name](results)
-            spent = min(spent, process_time() - start)
-            if spent > SHORT:
-                break
-    except KeyError as error:
-        return Cost(name, members, note=f"needs {error}")
-    except (ValueError, ArithmeticError, MemoryError) as error:
-        return Cost(name, members, note=f"failed: {error}")
-    return Cost(name, members, spent, max(0.0, memory("VmHWM") - base))
+        except KeyError as error:
+            costs[name] = Cost(name, note=f"needs {error}")
+        except (ValueError, ArithmeticError, MemoryError) as error:
+            costs[name] = Cost(name, note=f"failed: {error}")
+        else:
+            seconds, system = spent() - start
+            costs[name] = Cost(name, 0, seconds, system, max(0.0, memory("VmHWM") - base))
+    return costs
+
+
+def spent() -> np.ndarray:
+    """Return the time of the program in this process and of the system for it, s."""
+    if sys.platform == "win32":
+        return np.array(os.times()[:2])
+    usage = resource.getrusage(resource.RUSAGE_SELF)  # finer than os.times
+    return np.array([usage.ru_utime, usage.ru_stime])
 
 
 def beyond(costs: Sequence[Cost], members: int, budget: dict[str, float]) -> str:
@@ -251,7 +270,8 @@ def table(costs: Sequence[Cost]) -> str:
     names = list(dict.fromkeys(cost.routine for cost in costs))
     parts = []
     for quantity, title, unit, form in (
-        ("seconds", "processor s", 1.0, ".2g"), ("memory", "peak memory MB", 1e6, ".0f"),
+        ("seconds", "processor s", 1.0, ".2g"), ("system", "system s", 1.0, ".2g"),
+        ("memory", "peak memory MB", 1e6, ".0f"),
     ):  # fmt: skip
         lines = []
         for name in names:
