@@ -1,4 +1,4 @@
-"""Progress of long runs: a bar, or a note where a run will take long."""
+"""Progress of long work: a bar, or a note that says how long it will take."""
 
 from __future__ import annotations
 
@@ -10,31 +10,29 @@ from time import perf_counter
 
 from tenscontrol import validation
 
-# A run of more than the first, s, is told how long it takes; it is estimated after the second.
+# Work that takes more than the first, s, is announced; it is estimated after the second.
 _LONG, _ASK = 20.0, 5.0
 
 
 @contextmanager
 def progress_bar(
-    total: float, shown: bool, label: str = "simulating", unit: str = "s"
+    total: float, shown: bool, label: str = "simulating", unit: str = "s", start: float = 0.0
 ) -> Iterator[Callable[[float], None]]:
-    """Yield a function that is told how far things are: the simulated time reached, s.
+    """Yield a function that is told how far things are, from ``start`` to ``total``.
 
     The bar shows only on a terminal, the standard error. ``shown`` is what the user gives as
-    ``progress``.
+    ``progress``. Where there is no bar, work that takes long is announced once.
     """
-    if (
-        not validation.truth("progress", shown, "whether to show a progress bar")
-        or not _has_terminal()
-    ):
-        yield lambda reached: None
+    validation.truth("progress", shown, "whether to show a progress bar")
+    if not (shown and _has_terminal()):
+        yield _long_work_note(start, total, label)
         return
     from tqdm import tqdm
 
     digits = 2 if unit == "s" else 0
     count = f"{{n:.{digits}f}}/{{total:.{digits}f}} {unit}"
     layout = f"{{desc}} {{percentage:3.0f}}%|{{bar}}| {count} [{{elapsed}}<{{remaining}}]"
-    with tqdm(total=total, desc=label, bar_format=layout) as bar:
+    with tqdm(total=total, initial=start, desc=label, bar_format=layout) as bar:
 
         def report(reached: float) -> None:
             bar.update(reached - bar.n)
@@ -50,27 +48,28 @@ def _has_terminal() -> bool:
     return hasattr(stream, "isatty") and stream.isatty()
 
 
-def long_run_note(start: float, end: float) -> Callable[[float], None]:
-    """Return a function that is told the simulated time reached, s; it logs once if it takes long.
+def _long_work_note(start: float, end: float, label: str) -> Callable[[float], None]:
+    """Return a function that is told how far things are; it logs once if they take long.
 
     How long depends on the machine, so it is no warning, which a user may have made an error. The
     logger ``"tenscontrol"`` has it as one; without any settings, Python writes that to stderr.
     """
-    began, is_said = perf_counter(), False
+    began, last, is_said = perf_counter(), start, False
 
     def report(reached: float) -> None:
-        nonlocal is_said
-        taken = perf_counter() - began
+        nonlocal began, last, is_said
+        if reached < last:  # it is done once more
+            began = perf_counter()
+        taken, last = perf_counter() - began, reached
         if is_said or taken < _ASK or reached <= start:
             return
-        whole = taken * (end - start) / (reached - start)
-        if whole > _LONG:
+        share = (reached - start) / (end - start)
+        if taken > share * _LONG:
             is_said = True
             getLogger("tenscontrol").warning(
-                "simulate: %.3g s of %.3g s of motion took %.0f s; at this rate the run takes "
-                "%s in all. progress=True shows a bar; Ctrl-C ends the run, with the motion up "
-                "to there",
-                reached - start, end - start, taken, _readable(whole),
+                "%s: %.2g %% took %.0f s; at this rate it takes %s in all. progress=True shows a "
+                "bar on a terminal; Ctrl-C ends it",
+                label, 100 * share, taken, _readable(taken / share),
             )  # fmt: skip
 
     return report

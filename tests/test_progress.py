@@ -1,11 +1,13 @@
-"""The progress bar: on a terminal only, and harmless where there is none."""
+"""The progress bar on a terminal, and the note elsewhere."""
 
 import io
 import sys
 
+import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol import progress
 from tenscontrol.progress import progress_bar
 
 
@@ -48,3 +50,29 @@ def test_a_simulation_without_messages(monkeypatch, stream):
     monkeypatch.setattr(sys, "stderr", stream)
     run = tc.simulate(model, 0.01, rest_length=1.0, step=1e-2, method="rk4", progress=True)
     assert run.time[-1] == 0.01
+
+
+def notes(caplog, monkeypatch, reached, **how):
+    """Return what is said of work that reaches so much, 2 s apart."""
+    clock = iter(2.0 * np.arange(len(reached) + 2))
+    monkeypatch.setattr(progress, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    caplog.clear()
+    with progress_bar(3.0, **how) as report:
+        for so_far in reached:
+            report(so_far)
+    assert {record.name for record in caplog.records} <= {"tenscontrol"}
+    return [record.getMessage() for record in caplog.records]
+
+
+@pytest.mark.parametrize("shown", [False, True])
+def test_long_work_without_a_bar_is_announced_once(monkeypatch, caplog, shown):
+    slow = np.linspace(1.0, 1.1, 11)
+    (note,) = notes(caplog, monkeypatch, slow, shown=shown, label="fitting", start=1.0)
+    assert note.startswith("fitting: 1 % took 6 s; at this rate it takes 10 minutes in all. ")
+    assert not notes(caplog, monkeypatch, np.linspace(1.1, 3.0, 8), shown=shown, start=1.0)
+
+
+def test_work_that_is_done_once_more_is_timed_anew(monkeypatch, caplog):
+    once = np.linspace(0.5, 3.0, 6)
+    assert not notes(caplog, monkeypatch, [*once, *once], shown=False)

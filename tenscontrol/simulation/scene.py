@@ -24,7 +24,7 @@ from tenscontrol.interrupt import (
     finishing,
     interruptible,
 )
-from tenscontrol.progress import long_run_note, progress_bar
+from tenscontrol.progress import progress_bar
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.assembly import assembled
@@ -828,51 +828,33 @@ _FOUND_FROM = frozenset(entry.name for entry in fields(Scene)) - frozenset(_BESI
 
 def trace(scene: Scene, run: TracedRun) -> ClosedLoop | None:
     """Run a scene by a method that can be traced; return the loop, if it has one."""
-    loop = None
-    if scene.law is None:
-        assert scene.inputs is not None  # held in open loop
-        run.run(scene.state, scene.inputs, scene.duration)
-    else:
-        estimator = scene.estimator
-        with scene.law.in_use, nullcontext() if estimator is None else estimator.in_use:
-            loop = _loop(scene, run)
-            loop.run(scene.state)
+    loop = _loop(scene, run)
+    _integrate(scene, run, loop)
     run.end_part()
     return loop
 
 
 def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Trajectory:
     """Return the motion of a scene; see :func:`simulate`. Warnings are those of the caller's."""
-    how, stopped, loop = scene.integration, None, None
+    how, stopped = scene.integration, None
     begin, end = scene.span
-    note = long_run_note(begin, end)
-    with progress_bar(end, shown=True) if progress else nullcontext(note) as report:
+    with progress_bar(end, progress, start=begin) as report:
         run = scene.plant_run(report)
+        loop = _loop(scene, run)
         try:
-            if scene.law is None:
-                assert scene.inputs is not None  # held in open loop
-                run.run(scene.state, scene.inputs, scene.duration)
-            else:
-                estimator = scene.estimator
-                used = nullcontext() if estimator is None else estimator.in_use
-                with scene.law.in_use, used:
-                    loop = _loop(scene, run)
-                    loop.run(scene.state)
+            _integrate(scene, run, loop)
         except StoppedError as stop:
             reason = f"stopped at {run.now:.6g} s of motion: {stop}"
             raise SimulationError(
                 f"the simulation {reason}. The motion up to there is in the error's .trajectory",
-                _trajectory(scene, run, loop, reason, None, interruption),
+                _trajectory(scene, run, loop, reason, report, interruption),
             ) from stop.__cause__
         except KeyboardInterrupt:
             if not run.spans or interruption.whole:
                 raise
             stopped = f"stopped at {run.now:.6g} s of motion: interrupted"
-    if progress and how.error == "estimate" and stopped is None:
-        with progress_bar(scene.duration, True, label="estimating error") as report:
-            trajectory = _trajectory(scene, run, loop, stopped, report, interruption)
-    else:
-        trajectory = _trajectory(scene, run, loop, stopped, None, interruption)
+    with progress_bar(scene.duration, progress, "estimating error") as report:
+        trajectory = _trajectory(scene, run, loop, stopped, report, interruption)
     if stopped is not None or interruption.signal is not None:
         outcome = stopped or "was interrupted at its end, and is complete"
         warn(f"the simulation {outcome}", InterruptionWarning)
@@ -890,11 +872,12 @@ def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Traje
     return trajectory
 
 
-def _loop(scene: Scene, run: PlantRun) -> ClosedLoop:
-    """Return the loop of the controller with a plant run."""
+def _loop(scene: Scene, run: PlantRun) -> ClosedLoop | None:
+    """Return the loop of the controller with a plant run; None in open loop."""
+    if scene.law is None:
+        return None
     from tenscontrol.simulation.closed_loop import ClosedLoop
 
-    assert scene.law is not None  # it has one
     estimation = None
     if scene.estimator is not None:
         estimation = scene.estimator, scene.sensors, scene.seed
@@ -903,8 +886,18 @@ def _loop(scene: Scene, run: PlantRun) -> ClosedLoop:
     )
 
 
+def _integrate(scene: Scene, run: PlantRun, loop: ClosedLoop | None) -> None:
+    """Integrate a scene from its start to its end."""
+    if scene.law is None or loop is None:
+        assert scene.inputs is not None  # held in open loop
+        run.run(scene.state, scene.inputs, scene.duration)
+        return
+    with scene.law.in_use, nullcontext() if scene.estimator is None else scene.estimator.in_use:
+        loop.run(scene.state)
+
+
 def _run_again(
-    scene: Scene, run: PlantRun, loop: ClosedLoop | None, report: Callable[[float], None] | None
+    scene: Scene, run: PlantRun, loop: ClosedLoop | None, report: Callable[[float], None]
 ) -> Callable[[float], PlantRun] | None:
     """Return what does a run under a controller again with another step or tolerance, if it can."""
     closed = None if loop is None else loop.again()
@@ -913,7 +906,7 @@ def _run_again(
 
     def again(value: float) -> PlantRun:
         how = changed(scene.integration, **{run.choice.setting: value})
-        other = scene.plant_run(report, integration=how)
+        other = scene.plant_run(lambda time: report(time - scene.begin), integration=how)
         other.shortens = value < run.choice.value
         assert scene.law is not None  # it has a loop
         with scene.law.in_use, suppress(StoppedError):
@@ -928,7 +921,7 @@ def _trajectory(
     run: PlantRun,
     loop: ClosedLoop | None,
     stopped: str | None,
-    report_of_error: Callable[[float], None] | None,
+    report: Callable[[float], None],
     interruption: Interruption,
 ) -> Trajectory:
     """Return the motion so far, with an estimate of its error if it was not stopped."""
@@ -939,12 +932,12 @@ def _trajectory(
         if scene.integration.error == "estimate" and stopped is None:
             limit = limits.position_error or ERROR_LIMIT
             work = None if done is None else done[1]
-            again = partial(_run_again, scene, run, loop, report_of_error)
+            again = partial(_run_again, scene, run, loop, report)
             # A filter that refuses readings, or starts over, may magnify errors unseen.
             is_doubted = record is not None and (
                 record.estimate is not None or bool(record.problems)
             )
-            errors = estimated_errors(run, limit, again, is_doubted, report_of_error, work)
+            errors = estimated_errors(run, limit, again, is_doubted, report, work)
         return assembled(
             run, record, errors, stopped, limits, given=scene.given, note=scene.start_note,
             scene=scene if scene.start is None else None, done=done,

@@ -1,12 +1,9 @@
 """The method that watches others: pauses, changes of the method, failures."""
 
-import logging
-
 import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import progress
 from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.integrate import (
     DOP853,
@@ -294,23 +291,3 @@ def test_a_run_says_which_methods_it_took(tmp_path):
     batch = tc.simulate_many(scene, {"velocities": np.array([spin, spin])})
     np.testing.assert_array_equal(batch.nodes[1], run.nodes)
     assert batch.trajectory(1).choice.changes == run.choice.changes
-
-
-def test_a_long_run_says_how_long_it_takes_once(monkeypatch, caplog):
-    clock = iter(np.arange(0.0, 1e3, 2.0))
-    monkeypatch.setattr(progress, "perf_counter", lambda: next(clock))
-    report = progress.long_run_note(1.0, 3.0)
-    with caplog.at_level(logging.WARNING):
-        for reached in np.linspace(1.0, 1.1, 11):
-            report(reached)
-    (record,) = caplog.records
-    assert record.name == "tenscontrol"
-    assert "0.02 s of 2 s of motion took 6 s" in record.getMessage()
-    assert "the run takes 10 minutes in all" in record.getMessage()
-    monkeypatch.setattr(progress, "perf_counter", lambda: next(clock))
-    caplog.clear()
-    report = progress.long_run_note(0.0, 1.0)
-    with caplog.at_level(logging.WARNING):
-        for reached in np.linspace(0.1, 1.0, 8):
-            report(reached)
-    assert not caplog.records
