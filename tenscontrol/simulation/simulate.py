@@ -114,9 +114,10 @@ def simulate(
     step : float, optional
         Step of a method with a fixed step, s.
     output_step : float, optional
-        Largest time between returned states, s; the end of each sample is
-        returned as well. If not given, every fixed step, or a thousandth of the
-        duration; of more than 8,000 nodes more, for at most 50 million numbers.
+        Largest time between returned states, s. The ends of samples are returned as well, and the
+        ends of the pieces that make a profile or replace a function of time, so that some states
+        may lie closer. If not given, every fixed step, or a thousandth of the duration; of more
+        than 8,000 nodes more, for at most 50 million numbers.
     project : bool, optional
         Whether to make the bar lengths exact after each step, for a method
         from which they drift. If not given, methods that control their error
