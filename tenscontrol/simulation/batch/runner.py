@@ -17,7 +17,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.controller import Controller
-from tenscontrol.dynamics.equation import Equation, unpack_states
+from tenscontrol.dynamics.equation import Equation, pack_state, unpack_states
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import MASSES
 from tenscontrol.dynamics.profile import Pieces
@@ -31,7 +31,7 @@ from tenscontrol.integrate.core_lanes import (
 from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.integrate.dop853 import cost_in_core
 from tenscontrol.integrate.fixed_step import FixedStep
-from tenscontrol.integrate.integrator import IntegrationError, Integrator, MethodChange, Span, Work
+from tenscontrol.integrate.integrator import IntegrationError, Integrator, MethodChange, Work
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose
 from tenscontrol.integrate.watched import Watched, free_evaluations
 from tenscontrol.interrupt import check
@@ -156,11 +156,9 @@ class Runner:
         if self._lanes is not None:
             back_end = self._lanes.back_end
         elif self._shares:
-            shared = self._equation(scene.model, "auto", tuple(scene.parameters))
-            if method.differentiates and shared.form == "loops":
-                shared = self._equation(scene.model, "mapped", ())
-            self._shared = shared
-            back_end = self._integrator(shared).back_end
+            equation = self._equation(scene.model, "auto", tuple(scene.parameters))
+            self._shared = self._for_method(method, scene.model, equation)
+            back_end = self._integrator(method, self._shared, self.choice.value).back_end
         else:
             back_end = "a model built for each run"
         self.choice = replace(chosen, back_end=back_end)
@@ -225,11 +223,13 @@ class Runner:
             return False
         return bool(self._are_damped().all())
 
-    def _integrator(self, equation: Equation, value: float | None = None) -> Integrator:
-        value = self.choice.value if value is None else value
-        return self._made(self._method, equation, value)
+    def _for_method(self, method: Method, model: Model, equation: Equation) -> Equation:
+        """Return the equation of a model in a form that a method takes."""
+        if method.differentiates and equation.form == "loops":
+            return self._equation(model, "mapped", ())
+        return equation
 
-    def _made(self, method: Method, equation: Equation, value: float) -> Integrator:
+    def _integrator(self, method: Method, equation: Equation, value: float) -> Integrator:
         return method.integrator(equation, value, self.choice.setting, self._project_of(method))
 
     def _project_of(self, method: Method) -> bool | None:
@@ -539,14 +539,14 @@ class Runner:
 
         ``value`` is its step or tolerance, that of the batch if not given.
         """
+        value = self.choice.value if value is None else value
         if self._watches:
-            return self._watched(run, self.choice.value if value is None else value)
+            return self._watched(run, value)
         if self._shares:
-            return self._integrator(self._shared, value)
-        equation = self._equation(self.scene.model_of(run), "auto", ())
-        if self._method.differentiates and equation.form == "loops":
-            equation = self._equation(self.scene.model_of(run), "mapped", ())
-        return self._integrator(equation, value)
+            return self._integrator(self._method, self._shared, value)
+        model = self.scene.model_of(run)
+        equation = self._for_method(self._method, model, self._equation(model, "auto", ()))
+        return self._integrator(self._method, equation, value)
 
     def _watched(self, run: int, value: float) -> Integrator:
         model = self.scene.model if self._shares else self.scene.model_of(run)
@@ -554,9 +554,7 @@ class Runner:
 
         def make(name: str) -> Integrator:
             method = METHODS[name]
-            is_mapped = method.differentiates and equation.form == "loops"
-            of = self._equation(model, "mapped", ()) if is_mapped else equation
-            return self._made(method, of, value)
+            return self._integrator(method, self._for_method(method, model, equation), value)
 
         return Watched(equation, self._methods_of(run)[-1], make, self.scene.duration)
 
@@ -653,34 +651,22 @@ class Runner:
         outputs = np.repeat(np.arange(len(self.spans)), [span.outputs for span in self.spans])
         return np.concatenate([outputs[:1], outputs])
 
-    def _advance_of(self, run: int) -> Callable[..., Span]:
-        """Return what integrates a run."""
-        return self._resolved(run, self.choice.value).advance
-
-    def _interval(self, run: int, k: int) -> tuple[FloatArray, FloatArray]:
-        """Return the state and the input of a run at the beginning of an interval of outputs."""
-        place = self._span_of[k + 1]
-        span = self.spans[place]
-        u = self.scene.held_inputs(run, run + 1, span, self._shares)[0]
-        if self.command is not None:
-            command = self.command[run][:, place]
-            u[: len(command)] = command
-        if span.time is not None:
-            u[-1] += self.time[k] - span.start
-        ends = self.nodes[run][:, :, k], self.velocities[run][:, :, k]
-        rows = self.scene.model.structure.free_rows
-        return np.concatenate([array.ravel(order="F")[rows] for array in ends]), u
-
     def _again(
         self, run: int, first: int, last: int, parts: int
     ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Return times, nodes and velocities from one interval of outputs to another, in parts."""
-        if self._span_of[first + 1] != self._span_of[last + 1]:
+        number = self._span_of[first + 1]
+        if number != self._span_of[last + 1]:
             return None
         begin, end = self.time[first], self.time[last + 1]
-        state, u = self._interval(run, first)
+        u = self._inputs(run, number)
+        if self.spans[number].time is not None:
+            u[-1] += begin - self.spans[number].start
+        motion = self.nodes[run][:, :, first], self.velocities[run][:, :, first]
+        state = pack_state(self.scene.model.structure, *motion)
+        integrator = self._resolved(run, self.choice.value)
         try:
-            states = self._advance_of(run)(state, u, end - begin, parts).states
+            states = integrator.advance(state, u, end - begin, parts).states
         except (IntegrationError, KeyboardInterrupt):
             return None
         every = unpack_states(self.scene.model.structure, np.column_stack([state, states]))
