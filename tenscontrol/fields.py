@@ -1,4 +1,4 @@
-"""Fields of records, declared with their types and checks."""
+"""Declarations of the fields of records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The structures of C that pass between Python and the core."""
+"""The layout of data that the core takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motions that keep bar lengths, and the mass and stiffness of a model on them, sparse."""
+"""Equations of motion made linear on the motions that keep bar lengths."""
 
 from __future__ import annotations
 

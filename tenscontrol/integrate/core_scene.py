@@ -1,4 +1,4 @@
-"""An equation of motion as the compiled core runs it: its tables, and calls into the core."""
+"""Equations of motion as the compiled core runs them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stances: equilibria on the ground, with contact forces and the margin against tipping."""
+"""Stances: equilibria on the ground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of a fit: residuals over time, and intervals of what was found."""
+"""Figures of a fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One look for every figure: colours, dashes and widths; flat axes and legends; files.
+"""The look that all figures share.
 
 Nothing depends on colour alone. Curves differ in their dashes too, bars and strings in their width
 and in how dark they are.

@@ -1,4 +1,4 @@
-"""Record of a closed loop: commands, moves of the winches and errors, sample by sample."""
+"""Record of a closed loop, sample by sample."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distances between the axes of bars, in a shape and over a motion, and bars that cross."""
+"""Clearance of bars: the distances between their axes."""
 
 from __future__ import annotations
 

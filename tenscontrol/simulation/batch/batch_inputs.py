@@ -1,4 +1,4 @@
-"""Inputs of many runs, checked: starts, inputs, loads and parameters."""
+"""Inputs of a batch of runs."""
 
 from __future__ import annotations
 
