@@ -17,7 +17,8 @@ def __getattr__(name: str) -> object:
         return _imported(name)
     from difflib import get_close_matches
 
-    near = get_close_matches(name, _names, n=1)
+    # Programs ask each object for names such as __wrapped__, and a search takes a millisecond.
+    near = [] if name.startswith("_") else get_close_matches(name, _names, n=1)
     hint = f"; did you mean {near[0]}?" if near else ""
     raise AttributeError(f"tenscontrol has no name {name}{hint}", name=name)
 
