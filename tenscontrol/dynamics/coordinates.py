@@ -27,7 +27,7 @@ from tenscontrol.properties import cached_property
 from tenscontrol.short_repr import short_repr
 from tenscontrol.structure.bar_geometry import refuse_wrong_bar_lengths
 from tenscontrol.structure.blocks import Block, bar_rows, block_mass
-from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure import Structure, member_vectors
 from tenscontrol.structure.supports import left_by_supports, rigid_basis, rigid_motions
 
 if TYPE_CHECKING:
@@ -40,6 +40,9 @@ _MOST, _STEPS, _EXACT = 30, 6, 1e-10
 
 # Entries up to which a dense matrix multiplies as fast as a sparse one.
 _SMALL = 4_000_000
+
+# Rows up to which LAPACK factorizes a matrix sooner than SuperLU a sparse one.
+_FEW = 100
 
 KINDS = ("nodes", "minimal", "internal")
 
@@ -279,9 +282,8 @@ class Coordinates:
         nodes = self.nodes + self._columns(self.displacements(q))
         if self.kind == "nodes":
             return nodes
-        alone, axes = self.alone
-        lengths = self._lengths_of_bars(bar_length)
-        vectors = self.structure.bar_vectors(nodes)[:, alone]
+        (alone, axes), lengths = self.alone, self._lengths_of_bars(bar_length)
+        vectors = member_vectors(nodes, self.structure.bars[alone])
         along = (vectors * axes).sum(axis=0)
         across = vectors - along * axes
         room = lengths[alone] ** 2 - (across**2).sum(axis=0)
@@ -317,24 +319,47 @@ class Coordinates:
         ValueError
             As :meth:`to_nodes`.
         """
-        shape, structure = self.to_nodes(q, bar_length), self.structure
+        return self.to_motion(q, rates, bar_length, bar_length_rate)[1]
+
+    def to_motion(
+        self, q: object, rates: object, bar_length: object = None, bar_length_rate: object = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities at once.
+
+        Parameters
+        ----------
+        q, rates : array_like, shape (r,)
+            As for :meth:`to_velocities`.
+        bar_length, bar_length_rate : array_like, shape (β,), optional
+            As for :meth:`to_velocities`.
+
+        Returns
+        -------
+        nodes, velocities : ndarray, shape (d, n)
+            m and m/s, as of :meth:`to_nodes` and :meth:`to_velocities`.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`to_nodes`.
+        """
+        shape, ends = self.to_nodes(q, bar_length), self.structure.bars
         rates = validation.shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
         velocities = self._columns(self.displacements(rates))
         if self.kind == "nodes":
-            return velocities
-        growth = self._growth(bar_length, bar_length_rate)
-        alone, axes = self.alone
-        vectors = structure.bar_vectors(shape)[:, alone]
-        change = (vectors * structure.bar_vectors(velocities)[:, alone]).sum(axis=0)
+            return shape, velocities
+        (alone, axes), growth = self.alone, self._growth(bar_length, bar_length_rate)
+        vectors = member_vectors(shape, ends[alone])
+        change = (vectors * member_vectors(velocities, ends[alone])).sum(axis=0)
         along = (vectors * axes).sum(axis=0)
         self._stretch(velocities, (growth[alone] - change) / along * axes)
         for normal in self._normals:
             bars, rows, flat = normal.block.independent, normal.block.rows, velocities.ravel("F")
-            vectors = structure.bar_vectors(shape)[:, bars]
-            change = (vectors * structure.bar_vectors(velocities)[:, bars]).sum(axis=0)
+            vectors = member_vectors(shape, ends[bars])
+            change = (vectors * member_vectors(velocities, ends[bars])).sum(axis=0)
             flat[rows] -= normal.displacement(normal.factors(vectors), change - growth[bars])
             velocities = self._columns(flat)
-        return velocities
+        return shape, velocities
 
     def _lengths_of_bars(self, bar_length: object) -> FloatArray:
         """Return the length of each bar, m."""
@@ -491,11 +516,11 @@ class Coordinates:
         self, nodes: FloatArray, normal: NormalEquations, lengths: FloatArray
     ) -> FloatArray:
         """Return nodes displaced along the normal space until the bars of a block are exact."""
-        structure, block, bars = self.structure, normal.block, normal.block.independent
-        square = lengths[bars] ** 2
+        block, bars = normal.block, normal.block.independent
+        square, ends = lengths[bars] ** 2, self.structure.bars[bars]
         flat, best = nodes.ravel(order="F"), np.inf
         for _ in range(_MOST):
-            vectors = structure.bar_vectors(nodes)[:, bars]
+            vectors = member_vectors(nodes, ends)
             excess = ((vectors**2).sum(axis=0) - square) / 2
             off = float(np.abs(excess / square).max())
             try:
@@ -615,28 +640,54 @@ class NormalEquations:
         self._side = np.where(end == row // d, 1.0, -1.0)
         self._upright = _sign(self.factors(structure.bar_vectors(reference)[:, block.independent]))
 
-    def factors(self, vectors: FloatArray) -> SuperLU:
+    def factors(self, vectors: FloatArray) -> SuperLU | _DenseFactors:
         """Return the factors of the matrix with these vectors of the independent bars, (d, c)."""
         from scipy.sparse.linalg import splu
 
         self._matrix.data[self._places] = self._side * vectors[self._axis, self._bar]
+        if self._matrix.shape[0] <= _FEW:
+            return _DenseFactors(self._matrix.toarray(order="F"))
         options = {"SymmetricMode": True}
         return splu(self._matrix, "NATURAL", diag_pivot_thresh=0.0, options=options)
 
-    def displacement(self, factors: SuperLU, change: FloatArray) -> FloatArray:
+    def displacement(self, factors: SuperLU | _DenseFactors, change: FloatArray) -> FloatArray:
         """Return the displacement of the rows of the block."""
         count, order = len(self.block.rows), self.block.order
         answer = np.append(np.zeros(count), change)
         answer[order] = factors.solve(answer[order])
         return answer[:count]
 
-    def keeps_sides(self, factors: SuperLU) -> bool:
+    def keeps_sides(self, factors: SuperLU | _DenseFactors) -> bool:
         """Whether no bar has turned over: the determinant has the sign of the reference."""
         return _sign(factors) == self._upright
 
 
-def _sign(factors: SuperLU) -> float:
+class _DenseFactors:
+    """Factors of a matrix of few rows, or RuntimeError where it is exactly singular."""
+
+    def __init__(self, matrix: FloatArray) -> None:
+        from scipy.linalg.lapack import dgetrf
+
+        self._upper, self._swapped, zero_pivot = dgetrf(matrix, overwrite_a=True)
+        if zero_pivot:
+            raise RuntimeError("the matrix is exactly singular")
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return the solution for a right-hand side."""
+        from scipy.linalg.lapack import dgetrs
+
+        return np.asarray(dgetrs(self._upper, self._swapped, right)[0])
+
+    def sign(self) -> float:
+        """Return the sign of the determinant."""
+        swaps = np.count_nonzero(self._swapped != np.arange(len(self._swapped)))
+        return float(np.sign(self._upper.diagonal()).prod() * (-1.0) ** swaps)
+
+
+def _sign(factors: SuperLU | _DenseFactors) -> float:
     """Return the sign of the determinant of a factorized matrix."""
+    if isinstance(factors, _DenseFactors):
+        return factors.sign()
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 

@@ -134,10 +134,10 @@ class FilterDesign:
         lengths, _ = lengths_of(self.plant, held)
         return self.plant.to_nodes(z[: self.plant.degrees_of_freedom], lengths)
 
-    def velocities(self, z: FloatArray, held: FloatArray | None) -> FloatArray:
-        """Return the velocities of the nodes of a state."""
+    def motion_of(self, z: FloatArray, held: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities of a state, or raise as :meth:`nodes`."""
         q, rates = np.split(z[: self.extra.states], 2)
-        return self.plant.to_velocities(q, rates, *lengths_of(self.plant, held))
+        return self.plant.coordinates.to_motion(q, rates, *lengths_of(self.plant, held))
 
 
 def filter_design(

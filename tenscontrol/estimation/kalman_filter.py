@@ -721,7 +721,7 @@ class KalmanFilter:
         entries = int(correction.passed[self.sensors.reading_of].sum())
         self._z, self._P = correction.z, correction.P
         if self._pose is not None:
-            shape = self._design.nodes(self._z, held), self._design.velocities(self._z, held)
+            shape = self._design.motion_of(self._z, held)
             self._z, self._P = self._pose.settle(self._z, self._P, *shape)
         self._tally.add(gate.lost(y), usable, correction.passed, correction.nis, entries)
 
@@ -769,7 +769,7 @@ class KalmanFilter:
 
     def _estimate(self, z: FloatArray, P: FloatArray, held: FloatArray | None) -> Estimate:
         r, T = self.plant.degrees_of_freedom, self.plant.basis
-        nodes, velocities = self._design.nodes(z, held), self._design.velocities(z, held)
+        nodes, velocities = self._design.motion_of(z, held)
         structure, shape = self.plant.model.structure, self.plant.nodes.shape
         strings = structure.string_vectors(nodes)
         along = strings / np.maximum(np.linalg.norm(strings, axis=0), np.finfo(float).tiny)
