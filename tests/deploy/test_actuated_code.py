@@ -38,7 +38,7 @@ def test_commands_of_winches_are_those_of_python(plant, kind, tmp_path):
     start = plant.to_nodes(np.r_[0.03, np.zeros(8)])
     run = tc.simulate(
         plant.model, 0.8, start, controller=pair, winches=LIMITS, rest_length=plant.rest_length,
-        step=4e-3,
+        step=4e-3, error="none",
     )  # fmt: skip
     assert pair.statuses[0] == pair.statuses[1]
     assert pair.error < 1e-12
@@ -61,7 +61,9 @@ def test_nonlinear_mpc_of_ganged_winches(tmp_path):
     law = tc.NMPC(plant, horizon=2, sample_time=0.01)
     pair = scenes.Pair(law, tc.generate_c(law, tmp_path).compile(), spoilt=(5,), absurd=(8,))
     start = plant.to_nodes(0.01 * np.ones(plant.degrees_of_freedom))
-    tc.simulate(model, 0.2, start, controller=pair, rest_length=plant.rest_length, step=2e-3)
+    tc.simulate(
+        model, 0.2, start, controller=pair, rest_length=plant.rest_length, step=2e-3, error="none"
+    )
     assert pair.statuses[0] == pair.statuses[1]
     assert pair.error < 1e-12
 
@@ -74,7 +76,9 @@ def test_many_loops_of_compiled_code_move_the_winches_of_one(plant, tmp_path):
     scene = tc.Scene(plant.model, 0.2, controller=code, integration=how)
     batch = tc.simulate_many(scene, {"nodes": starts})
     for k, start in enumerate(starts):
-        run = tc.simulate(plant.model, 0.2, start, controller=law, method="rk4", step=4e-3)
+        run = tc.simulate(
+            plant.model, 0.2, start, controller=law, method="rk4", step=4e-3, error="none"
+        )
         np.testing.assert_allclose(batch.command[k], run.control.command, rtol=0, atol=1e-12)
         np.testing.assert_allclose(batch.nodes[k, ..., -1], run.nodes[..., -1], atol=1e-12)
 
@@ -123,7 +127,7 @@ def test_motors_wind_several_strings(plant):
     run = tc.simulate(
         model, 0.6, plant.to_nodes(np.r_[0.02, np.zeros(8)]), controller=law,
         winches=winches, rest_length=plant.rest_length, method="dop853", tolerance=1e-10,
-        output_step=1e-3,
+        output_step=1e-3, error="none",
     )  # fmt: skip
     record, lever = run.control.motors, 0.01 / 20.0
     assert record.angle.shape[0] == 3

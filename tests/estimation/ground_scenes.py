@@ -64,7 +64,7 @@ def dropped(name, seed, duration):
         velocities += 0.8 * np.array([-arms[1], arms[0]])
     return tc.simulate(
         plant.model, duration, plant.nodes, velocities, rest_length=plant.rest_length,
-        output_step=SAMPLE,
+        output_step=SAMPLE, error="none",
     )  # fmt: skip
 
 
@@ -111,8 +111,9 @@ def normalized_errors(name, seed, count):
         found.append(off @ np.linalg.solve(estimate.covariance, off) / len(off))
         estimator.predict(plant.rest_length)
         run = tc.simulate(
-            plant.model, SAMPLE, nodes, velocities, rest_length=plant.rest_length, tolerance=1e-7
-        )
+            plant.model, SAMPLE, nodes, velocities, rest_length=plant.rest_length, tolerance=1e-7,
+            error="none",
+        )  # fmt: skip
         z = plant.measure(run.nodes[..., -1], run.velocities[..., -1])
         z = z + response @ (pull * rng.normal(size=r))
     used = estimator.statistics

@@ -28,8 +28,9 @@ def motion(model, rest):
     plant = tc.linearize(model, rest, input="rest_length")
     start = plant.to_nodes(0.01 * np.random.default_rng(2).normal(size=9))
     run = tc.simulate(
-        model, 4.0, start, rest_length=plant.rest_length, tolerance=1e-10, output_step=STEP
-    )
+        model, 4.0, start, rest_length=plant.rest_length, tolerance=1e-10, output_step=STEP,
+        error="none",
+    )  # fmt: skip
     np.testing.assert_allclose(run.time, STEP * np.arange(201), rtol=0, atol=1e-9)
     return run
 
@@ -250,7 +251,7 @@ def test_a_structure_that_travels_is_not_one_that_changes_its_shape(held, sensor
     velocities = np.tile([[0.2], [-0.1], [0.05]], (1, 6))
     run = tc.simulate(
         model, 2.0, velocities=velocities, rest_length=held.rest_length, step=1e-3,
-        output_step=STEP,
+        output_step=STEP, error="none",
     )  # fmt: skip
     sensors = sensors_of("node_position", scale=0.1)
     estimator = tc.KalmanFilter(held, sensors, sample_time=STEP)

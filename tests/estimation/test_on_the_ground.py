@@ -52,7 +52,7 @@ def test_measured_contact_forces_stand_in_for_the_ground():
     touched, parts, delay = plant_of("x", GROUNDS["sharp"]), 20, 2
     run = tc.simulate(
         touched.model, 0.6, touched.nodes, rest_length=touched.rest_length, tolerance=1e-8,
-        output_step=SAMPLE / parts,
+        output_step=SAMPLE / parts, error="none",
     )  # fmt: skip
     forces = ground_forces(touched, run, parts)
     assert forces.max() > 20.0
@@ -121,6 +121,7 @@ def test_an_x_jumps_by_estimates_through_an_outage():
     run = tc.simulate(
         sharp, 1.2, plant.nodes, rest_length=plant.rest_length, controller=nmpc,
         estimator=estimator, seed=1, faults=[tc.LostMeasurement(0.12, 0.2)], tolerance=1e-8,
+        error="none",
     )  # fmt: skip
     assert set(nmpc.status_count) == {tc.control.Status.OK}
     assert estimator.statistics.status_count["lost"] == 4

@@ -90,7 +90,7 @@ def test_the_nonlinear_prediction_is_the_simulated_motion(stiff):
     estimator = blind(stiff, "nonlinear")
     run = tc.simulate(
         stiff.model, 1.0, controller=Winding(stiff), winches=WINCHES, rest_length=stiff.rest_length,
-        tolerance=1e-10, output_step=STEP,
+        tolerance=1e-10, output_step=STEP, error="none",
     )  # fmt: skip
     wound = np.abs(run.control.winch_rate).max() * STEP
     at = np.searchsorted(run.time, run.control.time - 1e-9)
@@ -115,7 +115,7 @@ def test_tensions_are_those_of_the_rest_lengths_at_the_sample(stiff):
     )
     run = tc.simulate(
         stiff.model, 1.0, controller=Winding(stiff), winches=WINCHES, rest_length=stiff.rest_length,
-        step=5e-4, estimator=estimator,
+        step=5e-4, estimator=estimator, error="none",
     )  # fmt: skip
     found = run.control.estimate
     assert found.statistics.refused.sum() <= 2
@@ -136,7 +136,7 @@ def test_a_stuck_winch_and_a_lost_measurement_while_it_winds(stiff):
     faults = [tc.StuckWinch(7, time=0.2), tc.LostMeasurement(time=0.3, until=0.38)]
     run = tc.simulate(
         stiff.model, 0.5, controller=Winding(stiff), winches=WINCHES, rest_length=stiff.rest_length,
-        step=5e-4, estimator=estimator, faults=faults,
+        step=5e-4, estimator=estimator, faults=faults, error="none",
     )  # fmt: skip
     found = run.control.estimate
     missed = np.isnan(found.measurement).all(axis=0)

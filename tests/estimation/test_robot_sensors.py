@@ -155,7 +155,7 @@ def test_a_bias_is_found_in_a_loop_and_told_with_its_deviation(held, model):
     controller = tc.LQR(held, *tc.energy_weights(held), sample_time=STEP)
     run = tc.simulate(
         model, 3.0, controller=controller, estimator=estimator, seed=4, step=1e-3,
-        rest_length=held.rest_length,
+        rest_length=held.rest_length, error="none",
     )  # fmt: skip
     found = run.control.estimate
     biased = sensors.bias_deviation > 0
@@ -252,7 +252,7 @@ def test_a_payload_is_estimated_with_the_ball_that_carries_it():
     hold = holding(plant, STEP)
     run = tc.simulate(
         model, 0.6, start, controller=hold, estimator=estimator, rest_length=plant.rest_length,
-        seed=1, step=1e-3,
+        seed=1, step=1e-3, error="none",
     )  # fmt: skip
     at = np.round(run.control.estimate.time / 1e-3).astype(int)
     off = run.control.estimate.nodes - run.nodes[:, :, at]
@@ -281,7 +281,7 @@ def test_supports_that_travel_do_not_mislead_inclinations_and_gyroscopes(moving)
     run = tc.simulate(
         model, 3.0, plant.to_nodes(np.r_[0.01, np.zeros(plant.degrees_of_freedom - 1)]),
         controller=hold, estimator=estimator, rest_length=plant.rest_length, seed=1, step=1e-3,
-        **cart,
+        error="none", **cart,
     )  # fmt: skip
     at = np.round(run.control.estimate.time / 1e-3).astype(int)
     off = run.control.estimate.nodes - run.nodes[:, :, at]
@@ -316,7 +316,7 @@ def test_a_body_on_the_ground_is_told_by_what_its_sensors_feel():
     hold = holding(plant, 0.01)
     run = tc.simulate(
         model, 0.6, above, controller=hold, estimator=estimator, rest_length=plant.rest_length,
-        seed=1, step=1e-4, output_step=0.01,
+        seed=1, step=1e-4, output_step=0.01, error="none",
     )  # fmt: skip
     told = run.control.estimate
     off = np.linalg.norm(told.nodes - run.nodes[:, :, : told.nodes.shape[2]], axis=0)

@@ -111,7 +111,7 @@ def test_a_log_of_a_loop_is_smoothed_with_its_delay_and_losses(held, model, sens
     start = held.to_nodes(0.02 * np.eye(9)[0])
     run = tc.simulate(
         model, 2.0, start, controller=controller, estimator=estimator, seed=2, step=1e-3,
-        rest_length=held.rest_length, output_step=STEP,
+        rest_length=held.rest_length, output_step=STEP, error="none",
     )  # fmt: skip
     record, count = run.control.estimate, len(run.control.time)
     before = estimator.statistics.used.copy()

@@ -149,7 +149,7 @@ def test_a_law_on_a_few_modes_damps_the_whole_tower_as_designed(law):
         made = tc.MPC(small, horizon=4, sample_time=sample, Q=Q, R=3 * R)
     q = np.r_[0.02 / np.abs(small.basis[:, 0]).max(), np.zeros(11)]
     start = small.to_nodes(q)
-    run = tc.simulate(plant.model, 1.2, start, 0 * start, controller=made)
+    run = tc.simulate(plant.model, 1.2, start, 0 * start, controller=made, error="none")
     times = np.arange(0, 1.2001, sample)
     at = np.searchsorted(run.time, times - 1e-9)
     found = np.array([small.measure(run.nodes[:, :, i], run.velocities[:, :, i]) for i in at])
@@ -174,7 +174,9 @@ def test_a_filter_on_a_few_modes_follows_the_whole_tower_and_the_law_runs_on_it(
     law = tc.LQR(small, Q, 3 * R, sample_time=sample)
     q = np.r_[0.05 / np.abs(small.basis[:, 0]).max(), np.zeros(7)]
     start = small.to_nodes(q)
-    run = tc.simulate(plant.model, 2.0, start, 0 * start, controller=law, estimator=estimator)
+    run = tc.simulate(
+        plant.model, 2.0, start, 0 * start, controller=law, estimator=estimator, error="none"
+    )
     ends = [small.measure(run.nodes[:, :, i], run.velocities[:, :, i])[0] for i in (0, -1)]
     assert abs(ends[1]) < 0.2 * abs(ends[0])
     found = run.control.estimate

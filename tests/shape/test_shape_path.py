@@ -248,7 +248,7 @@ def test_a_slow_damped_plant_stays_on_the_path():
         plant = tc.linearize(damped, start(), input="rest_length")
         run = tc.simulate(
             damped, duration, controller=FeedForward(plant, found), winches=winches,
-            rest_length=found.rest_length[:, 0], step=5e-3, output_step=0.05,
+            rest_length=found.rest_length[:, 0], step=5e-3, output_step=0.05, error="none",
         )  # fmt: skip
         assert not run.control.rate_limited.any()
         assert np.abs(run.control.winch_rate).max() <= RATE
@@ -266,7 +266,7 @@ def test_mpc_takes_the_path_as_its_reference():
     )
     run = tc.simulate(
         model(), 4.0, controller=mpc, winches=tc.Winches(rate=0.5), step=1e-3,
-        rest_length=found.rest_length[:, 0],
+        rest_length=found.rest_length[:, 0], error="none",
     )  # fmt: skip
     height = run.nodes[2, TOP].mean(axis=0) - run.nodes[2, BOTTOM].mean(axis=0)
     assert height[-1] == pytest.approx(0.85, abs=1e-3)

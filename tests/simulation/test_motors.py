@@ -86,7 +86,7 @@ def run_of(name, duration=0.4, size=5e-3, step=5e-4, law=None, **kind):
     model, start = scene(name, law)
     return tc.simulate(
         model, duration, controller=Wave(model, start, size), winches=winches_of(**kind),
-        rest_length=start, step=step,
+        rest_length=start, step=step, error="none",
     )  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def test_strings_that_go_slack_on_the_way():
     winches = tc.Winches(ramp=True, motor=tc.Motor(**GEAR))
     run = tc.simulate(
         model, 0.4, controller=Wave(model, start), winches=winches, rest_length=start,
-        step=2.5e-4,
+        step=2.5e-4, error="none",
     )  # fmt: skip
     assert run.work.switches > 5
     assert unbalanced(run) < 1e-6
@@ -145,7 +145,7 @@ def test_structures_that_nobody_chose(seed):
     winches = tc.Winches(rate=0.1, ramp=True, motor=tc.Motor(**GEAR))
     run = tc.simulate(
         model, 0.1, controller=Wave(model, start), winches=winches, rest_length=start,
-        method="dop853", tolerance=1e-11,
+        method="dop853", tolerance=1e-11, error="none",
     )  # fmt: skip
     assert run.work.switches > 0
     assert unbalanced(run) < 1e-6
@@ -200,7 +200,7 @@ def test_few_states_kept_say_so():
     winches = tc.Winches(ramp=True, motor=tc.Motor(**GEAR))
     run = tc.simulate(
         model, 0.4, controller=Wave(model, start), winches=winches, rest_length=start, step=1e-3,
-        output_step=SAMPLE,
+        output_step=SAMPLE, error="none",
     )  # fmt: skip
     kept.append(run.control.motors)
     off = np.abs(kept[0].energy[:, -1] - kept[1].energy[:, -1]).sum()
@@ -215,7 +215,7 @@ def test_limits_of_speed_torque_and_range_hold():
     winches = tc.Winches(shortest=0.99 * start, longest=1.005 * start, motor=motor)
     run = tc.simulate(
         model, 1.0, controller=Wave(model, start, 0.02), winches=winches, rest_length=start,
-        step=5e-4,
+        step=5e-4, error="none",
     )  # fmt: skip
     motors = run.control.motors
     assert np.abs(motors.speed).max() == pytest.approx(150.0)
@@ -260,7 +260,7 @@ def weak_run(substeps, duration=0.2, step=SAMPLE / 32, **kind):
     winches = tc.Winches(ramp=True, substeps=substeps, motor=tc.Motor(**GEAR, torque=most, **kind))
     return tc.simulate(
         model, duration, controller=Wave(model, start, 0.02), winches=winches, rest_length=start,
-        step=step, output_step=SAMPLE,
+        step=step, output_step=SAMPLE, error="none",
     )  # fmt: skip
 
 
@@ -291,7 +291,7 @@ def test_a_run_that_stops_within_a_sample_has_its_record():
     with pytest.raises(tc.simulation.SimulationError) as info:
         tc.simulate(
             model, 1.0, controller=Wave(model, start), winches=tc.Winches(ramp=True, motor=motor),
-            rest_length=start, method="rk4", step=SAMPLE / 10,
+            rest_length=start, method="rk4", step=SAMPLE / 10, error="none",
         )  # fmt: skip
     motors = info.value.trajectory.control.motors
     assert motors.rest_length_error >= 0
@@ -332,7 +332,7 @@ def test_a_lag_is_that_of_its_time_constant():
         winches = tc.Winches(rate=rate, motor=tc.Motor(**GEAR, lag=0.03))
         run = tc.simulate(
             model, 0.2, controller=Step(model, start), winches=winches, rest_length=start,
-            step=1e-3,
+            step=1e-3, error="none",
         )  # fmt: skip
         gap = (run.rest_length - 0.99 * start[:, None]) / start[:, None]
         time = run.time[::2]  # ends of ticks
@@ -429,7 +429,7 @@ def test_a_stuck_winch_stands(kind):
     winches = winches_of(**KINDS[kind])
     run = tc.simulate(
         model, 0.4, controller=Wave(model, start), winches=winches, rest_length=start, step=1e-3,
-        faults=[tc.StuckWinch(1, time=0.1, until=0.3), tc.CutString(0, time=0.25)],
+        faults=[tc.StuckWinch(1, time=0.1, until=0.3), tc.CutString(0, time=0.25)], error="none",
     )  # fmt: skip
     stands = (run.time > 0.1 + 1e-9) & (run.time < 0.3 - 1e-9)
     assert np.ptp(run.rest_length[1, stands]) == 0
@@ -458,8 +458,9 @@ def test_a_cable_of_held_force_works_on_the_structure(name):
     plant = Wave(model, start, input="force_density").plant
     winches = tc.Winches(motor=tc.Motor(**GEAR))
     run = tc.simulate(
-        model, 0.3, controller=Pull(plant), winches=winches, input="force_density", step=2.5e-4
-    )
+        model, 0.3, controller=Pull(plant), winches=winches, input="force_density", step=2.5e-4,
+        error="none",
+    )  # fmt: skip
     motors, length = run.control.motors, run.structure.string_length
     lengths = np.array([length(N) for N in np.moveaxis(run.nodes, 2, 0)]).T
     stored = 0.5 * (run.force_density * lengths**2).sum(axis=0)
@@ -472,8 +473,9 @@ def test_a_cable_of_held_force_works_on_the_structure(name):
     np.testing.assert_allclose(motors.angle, turned, atol=1e-9)
     weak = tc.Winches(motor=tc.Motor(**GEAR, torque=0.01))
     held = tc.simulate(
-        model, 0.3, controller=Pull(plant), winches=weak, input="force_density", step=1e-3
-    )
+        model, 0.3, controller=Pull(plant), winches=weak, input="force_density", step=1e-3,
+        error="none",
+    )  # fmt: skip
     assert held.control.motors.torque_limited.any()
     most = 0.01 * 20 / 0.01 / lengths[:, 0]
     assert (held.force_density[:, 0] <= most * (1 + 1e-12)).all()

@@ -103,7 +103,7 @@ def test_the_prism_comes_to_rest_by_any_kind_of_reading(
     )
     run = tc.simulate(
         model, 3.0, start, controller=regulator, step=2e-3, output_step=STEP, rest_length=wound,
-        estimator=estimator,
+        estimator=estimator, error="none",
     )  # fmt: skip
     off, left = errors(held, run, kept=100)
     assert left[0] > 0.02
@@ -132,7 +132,7 @@ def test_delay_losses_and_corrupt_readings_are_borne(model, held, regulator, sta
     )
     run = tc.simulate(
         model, 4.0, start, controller=regulator, step=2e-3, output_step=STEP, rest_length=wound,
-        estimator=tc.KalmanFilter(held, sensors, sample_time=STEP), seed=3,
+        estimator=tc.KalmanFilter(held, sensors, sample_time=STEP), seed=3, error="none",
     )  # fmt: skip
     off, left = errors(held, run, kept=100)
     found = run.control.estimate
@@ -159,15 +159,9 @@ def test_the_filter_is_told_what_is_held_and_the_controller_what_is_estimated(
     if hold == "rest_length":
         options = {"rest_length": wound, "winches": tc.Winches(rate=0.05)}
     run = tc.simulate(
-        model,
-        0.4,
-        start,
-        controller=regulator,
-        step=2e-3,
-        input=hold,
-        estimator=estimator,
-        **options,
-    )
+        model, 0.4, start, controller=regulator, step=2e-3, input=hold, estimator=estimator,
+        error="none", **options,
+    )  # fmt: skip
     found = run.control.estimate
     # The same readings and inputs by hand.
     estimator.reset()
@@ -201,8 +195,9 @@ def test_the_same_seed_gives_the_same_run(model, held, regulator, start):
 
     def run(**options):
         return tc.simulate(
-            model, 0.4, start, controller=regulator, step=2e-3, estimator=estimator, **options
-        )
+            model, 0.4, start, controller=regulator, step=2e-3, estimator=estimator, error="none",
+            **options,
+        )  # fmt: skip
 
     first, again, other, none = run(seed=4), run(seed=4), run(seed=5), run()
     np.testing.assert_array_equal(first.nodes, again.nodes)
@@ -220,7 +215,7 @@ def test_sensors_may_be_worse_than_the_filter_believes(model, held, regulator, s
     worse = sensors_of(model, "string_length", "node_position", scale=1.5, drop_rate=0.3)
     run = tc.simulate(
         model, 2.0, start, controller=regulator, step=2e-3, rest_length=wound,
-        estimator=estimator, sensors=worse,
+        estimator=estimator, sensors=worse, error="none",
     )  # fmt: skip
     found = run.control.estimate.statistics
     used = found.degrees_of_freedom > 0
@@ -238,8 +233,9 @@ def test_sensors_of_the_parent_serve_a_structure_with_string_mass(model, held, r
     cut = tc.Model(massive, strings=tc.LinearStrings(100.0 * tc.structure.segment_counts(massive)))
     estimator = tc.KalmanFilter(held, sensors_of(model, *NOISE), sample_time=STEP)
     run = tc.simulate(
-        cut, 2.0, nodes, controller=regulator, step=1e-3, estimator=estimator, output_step=STEP
-    )
+        cut, 2.0, nodes, controller=regulator, step=1e-3, estimator=estimator, output_step=STEP,
+        error="none",
+    )  # fmt: skip
     off, left = errors(held, run, kept=50)
     assert run.control.estimate.nodes.shape == (3, 6, 100)
     assert np.sqrt(np.mean(off[-50:] ** 2)) < 2e-3
@@ -275,7 +271,7 @@ def test_large_motions_need_the_nonlinear_prediction(model):
         )
         run = tc.simulate(
             model, 2.0, controller=mpc, step=2e-3, output_step=STEP, rest_length=wound,
-            estimator=estimator, winches=tc.Winches(rate=0.5),
+            estimator=estimator, winches=tc.Winches(rate=0.5), error="none",
         )  # fmt: skip
         off[prediction] = errors(held, run)[0].max()
         restarts[prediction] = run.control.estimate.statistics.restarts
