@@ -34,6 +34,8 @@ typedef struct {
     const double *times;                   /* (outputs) ascending, from 0, s */
     double size, tolerance;
     long most_evaluations;
+    double *moments; /* (most_moments) of the first switches, s */
+    long most_moments;
 } Scene;
 
 typedef struct {
@@ -486,7 +488,11 @@ static int run(Work *w, double *y, double *out)
                     w->pulls[i] = !w->pulls[i];
                     crossed++;
                 }
-            w->counts->switches += crossed > 0;
+            if (crossed) {
+                if (w->counts->switches < s->most_moments)
+                    s->moments[w->counts->switches] = t + taken;
+                w->counts->switches++;
+            }
             stalls = taken > 1e-14 * end ? 0 : stalls + 1;
             if (stalls > 200)
                 return STUCK;

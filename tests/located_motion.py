@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from scipy.integrate._ivp import dop853_coefficients as order8
 from tests.oracle import (
     HeldForceDensity,
     HeldRestLength,
+    NodeMotion,
     Plane,
     consistent_mass,
     free_rows,
@@ -39,12 +40,13 @@ class OracleError(RuntimeError):
 
 @dataclass(frozen=True)
 class Work:
-    """What a motion took."""
+    """What a motion took, and times of its first 10,000 switches, s."""
 
     evaluations: int
     steps: int
     rejections: int
     switches: int
+    moments: np.ndarray = field(repr=False)
 
 
 class _Plane(ctypes.Structure):
@@ -67,7 +69,8 @@ class _Scene(ctypes.Structure):
             "damping", "plane", "a", "b", "c", "e3", "e5", "d", "times",
         )],
         ("size", ctypes.c_double), ("tolerance", ctypes.c_double),
-        ("most_evaluations", ctypes.c_long),
+        ("most_evaluations", ctypes.c_long), ("moments", ctypes.c_void_p),
+        ("most_moments", ctypes.c_long),
     ]  # fmt: skip
 
 
@@ -104,10 +107,12 @@ def located_motion(
     ground: Sequence[tuple[Plane, np.ndarray]] = (),
     tolerance: float = 1e-12,
     most_evaluations: int = 10_000_000,
+    nodes: np.ndarray | None = None,
 ) -> tuple[np.ndarray, Work]:
     """Return node positions at the times (ascending, from 0), shape (d, n, T), and the work.
 
-    Each plane comes with the nodes that it acts on.
+    Each plane comes with the nodes that it acts on. ``nodes`` are those at the start, where they
+    are not those of the structure.
 
     Raises
     ------
@@ -124,8 +129,8 @@ def located_motion(
     is_held = isinstance(law, HeldForceDensity)
     each = np.zeros(alpha)
     touches = np.zeros((len(ground), count), np.int32)
-    for mask, (_, nodes) in zip(touches, ground, strict=True):
-        mask[nodes] = 1
+    for mask, (_, below) in zip(touches, ground, strict=True):
+        mask[below] = 1
     planes = (_Plane * max(len(ground), 1))(*[
         _Plane(p.stiffness, p.damping, p.friction, p.slip_speed, p.height,
                (ctypes.c_double * 3)(*p.normal))
@@ -145,18 +150,43 @@ def located_motion(
     }  # fmt: skip
     kept = {name: np.ascontiguousarray(value, np.int32) for name, value in indices.items()}
     kept |= {name: np.ascontiguousarray(value, float) for name, value in numbers.items()}
+    moments = np.zeros(10_000)
     scene = _Scene(
         dimension=d, nodes=count, rows=len(rows), bars=len(kept["bar"]), strings=alpha,
         planes=len(ground), outputs=len(times), held_force_density=is_held,
         plane=ctypes.cast(planes, ctypes.c_void_p), size=np.ptp(structure.nodes, axis=1).max(),
-        tolerance=tolerance, most_evaluations=most_evaluations,
-        **{name: value.ctypes.data for name, value in kept.items()},
+        tolerance=tolerance, most_evaluations=most_evaluations, moments=moments.ctypes.data,
+        most_moments=len(moments), **{name: value.ctypes.data for name, value in kept.items()},
     )  # fmt: skip
-    N, V = (np.array(part.T, order="C", dtype=float) for part in (structure.nodes, velocities))
+    start = structure.nodes if nodes is None else nodes
+    N, V = (np.array(part.T, order="C", dtype=float) for part in (start, velocities))
     out, counts = np.zeros((len(times), count, d)), _Counts()
     pointers = [ctypes.c_void_p(part.ctypes.data) for part in (N, V, out)]
     status = _library().located_motion(ctypes.byref(scene), *pointers, ctypes.byref(counts))
-    work = Work(*(getattr(counts, name) for name, _ in _Counts._fields_))
+    numbers = (getattr(counts, name) for name, _ in _Counts._fields_)
+    work = Work(*numbers, moments[: counts.switches])
     if status:
         raise OracleError(f"{_STATUS[status]} after {work}")
     return out.transpose(2, 1, 0), work
+
+
+def exact_motion(
+    structure, law, times, velocities=None, nodes=None, external_force=None, ground=()
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return node positions at the times, shape (d, n, T), and times of switches.
+
+    By the oracle in C with a tolerance near round-off; by that in NumPy where there is no compiler,
+    or a plane has an exponent. Planes are under all nodes.
+    """
+    nodes = structure.nodes if nodes is None else nodes
+    velocities = np.zeros_like(nodes) if velocities is None else velocities
+    load = 0.0 if external_force is None else external_force
+    if c_compiler() is None or any(plane.exponent != 1 for plane in ground):
+        motion = NodeMotion(structure, law, load, ground)
+        return motion.integrate(nodes, velocities, times)
+    planes = [(plane, np.arange(nodes.shape[1])) for plane in ground]
+    found, work = located_motion(
+        structure, law, velocities, times, load, planes, 1e-13, nodes=nodes
+    )
+    # Strings that switch together by symmetry are landed on one after the other.
+    return found, work.moments[np.diff(work.moments, prepend=-1.0) > 1e-10]

@@ -8,7 +8,8 @@ import tenscontrol as tc
 from tenscontrol.dynamics.equation import pack_state
 from tests.dynamics.scenes import side_by_side
 from tests.integrate.coupled_scenes import possible_velocities
-from tests.oracle import HeldRestLength, NodeMotion, Plane, RigidBars
+from tests.located_motion import exact_motion
+from tests.oracle import HeldRestLength, Plane
 
 GRAVITY = 9.81
 GROUND = {"stiffness": 5e3, "damping": 0.3, "friction": 0.5, "slip_speed": 0.01}
@@ -33,8 +34,8 @@ class Scene:
     def state(self):
         return pack_state(self.structure, self.structure.nodes, self.velocities)
 
-    def oracle(self):
-        """Return the motion by the oracle: rigid bodies, or node coordinates with multipliers."""
+    def of_oracle(self):
+        """Return strings, weights and planes of the oracle."""
         structure = self.structure
         d = structure.dimension
         weights = np.zeros_like(structure.nodes)
@@ -44,14 +45,12 @@ class Scene:
                   law.height, 1.5 if isinstance(law, tc.dynamics.HertzGround) else 1.0)
             for law in self.ground
         )  # fmt: skip
-        strings = HeldRestLength(self.rest_length, self.stiffness)
-        alone = d == 3 and not structure.blocks and len(structure.fixed) == 0
-        kind = RigidBars if alone else NodeMotion
-        return kind(structure, strings, weights, planes)
+        return HeldRestLength(self.rest_length, self.stiffness), weights, planes
 
     def exact(self, times):
         """Return nodes at times, shape (d, n, T), and the times of switches, by the oracle."""
-        return self.oracle().integrate(self.structure.nodes, self.velocities, times)
+        strings, weights, planes = self.of_oracle()
+        return exact_motion(self.structure, strings, times, self.velocities, None, weights, planes)
 
     def run(self, integrator, times):
         """Return nodes at equally spaced times from 0, shape (d, n, T), and the work."""

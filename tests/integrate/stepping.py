@@ -7,7 +7,8 @@ import tenscontrol as tc
 from tenscontrol.dynamics.equation import Equation, pack_state
 from tenscontrol.dynamics.evaluator import Evaluator
 from tests.dynamics.scenes import paper_force_density, random_structure, rest_lengths
-from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars
+from tests.located_motion import exact_motion
+from tests.oracle import HeldForceDensity, HeldRestLength
 
 
 def smooth_equation(slope):
@@ -94,9 +95,7 @@ def smooth_motion(prism, held, damping=0.0, duration=1.0):
     u = gamma if held == "force_density" else lengths
     law = HeldForceDensity(u) if held == "force_density" else HeldRestLength(u, 100.0, damping)
     velocities = 0.2 * rigid_velocities(prism, 3)
-    nodes, switches = RigidBars(prism, law).integrate(
-        prism.nodes, velocities, np.array([0.0, duration])
-    )
+    nodes, switches = exact_motion(prism, law, np.array([0.0, duration]), velocities)
     assert len(switches) == 0
     model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping))
     x = pack_state(prism, prism.nodes, velocities)

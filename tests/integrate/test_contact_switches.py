@@ -9,6 +9,7 @@ from tenscontrol.dynamics.equation import pack_state
 from tenscontrol.integrate.methods import METHODS
 from tests.integrate.coupled_scenes import mixed, possible_velocities
 from tests.integrate.ground_scenes import GRAVITY, GROUND, Scene, resting
+from tests.located_motion import exact_motion
 
 
 def test_strings_clusters_and_contacts_switch_together():
@@ -100,9 +101,9 @@ def test_a_node_that_is_drawn_out_fast_is_let_go_below_the_surface(method, value
     velocities = state[4:].reshape(2, 2).T
     bar = tc.Structure(start, [[0, 1]], [], bar_mass=1.0)
     scene = Scene(bar, np.zeros(0), (law,), velocities)
-    oracle = scene.oracle()
-    oracle.load = 0.0
-    exact, switches = oracle.integrate(start, velocities, np.array([0.0, 0.06]))
+    strings, _, planes = scene.of_oracle()
+    times = np.array([0.0, 0.06])
+    exact, switches = exact_motion(bar, strings, times, velocities, ground=planes)
     assert len(switches) == 2
     span = METHODS[method].integrator(equation, value).advance(state, np.zeros(0), 0.06, 1)
     assert (span.work.switches, span.work.missed) == (2, 0)

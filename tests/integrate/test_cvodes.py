@@ -10,7 +10,8 @@ from tenscontrol.integrate.cvodes import CVODES
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.integrate.stepping import smooth_equation
 from tests.integrate.test_rk4 import oscillator
-from tests.oracle import HeldRestLength, RigidBars
+from tests.located_motion import exact_motion
+from tests.oracle import HeldRestLength
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
@@ -79,9 +80,7 @@ def test_massive_strings_follow_the_oracle():
     lengths = tc.structure.spread_rest_length(structure, parent)
     times = np.linspace(0, 0.3, 4)
     law = HeldRestLength(lengths, 200.0)
-    exact, switches = RigidBars(structure, law).integrate(
-        structure.nodes, np.zeros_like(structure.nodes), times
-    )
+    exact, switches = exact_motion(structure, law, times)
     model = tc.Model(structure, strings=tc.LinearStrings(200.0))
     state = pack_state(structure, structure.nodes, np.zeros_like(structure.nodes))
     run = CVODES(model.equation("rest_length"), 1e-11).advance(state, lengths, 0.3, 3)

@@ -9,7 +9,8 @@ import tenscontrol as tc
 from tenscontrol.integrate.methods import METHODS
 from tests.dynamics.scenes import paper_force_density, random_structure, rest_lengths
 from tests.integrate.stepping import moving
-from tests.oracle import HeldRestLength, RigidBars
+from tests.located_motion import exact_motion
+from tests.oracle import HeldRestLength
 from tests.random_scenes import random_scene
 from tests.without_core import without_core
 
@@ -31,8 +32,7 @@ def example():
     prism = tc.prism()
     lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    bodies = RigidBars(prism, HeldRestLength(lengths, 100.0))
-    exact, switches = bodies.integrate(prism.nodes, np.zeros((3, 6)), TIMES)
+    exact, switches = exact_motion(prism, HeldRestLength(lengths, 100.0), TIMES)
     return model, lengths, exact, switches
 
 
@@ -164,8 +164,8 @@ def test_where_no_string_can_go_slack_nothing_is_looked_for(prism):
 def test_damped_strings_switch_where_their_tension_ends(prism, damping):
     lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping))
-    bodies = RigidBars(prism, HeldRestLength(lengths, 100.0, damping))
-    exact, _ = bodies.integrate(prism.nodes, np.zeros((3, 6)), np.array([0.0, 1.0]))
+    law = HeldRestLength(lengths, 100.0, damping)
+    exact, _ = exact_motion(prism, law, np.array([0.0, 1.0]))
     steps, errors = [4e-3, 2e-3, 1e-3], []
     for step in steps:
         motion = tc.simulate(model, 1.0, rest_length=lengths, step=step)

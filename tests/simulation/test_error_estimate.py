@@ -11,7 +11,8 @@ import tenscontrol as tc
 from tenscontrol.control import ControlWarning
 from tenscontrol.simulation import AccuracyWarning
 from tests.benchmarks.trust_in_loops import random_loop
-from tests.oracle import HeldRestLength, NodeMotion
+from tests.located_motion import exact_motion
+from tests.oracle import HeldRestLength
 
 STEPPING = ["rk4", "energy_momentum"]
 
@@ -324,8 +325,7 @@ def test_the_oracle_agrees_with_what_is_called_exact():
     weight = np.zeros((3, 3))
     weight[2, :2] = -9.81 / 2
     law = HeldRestLength(np.array([18.0]), np.array([2000.0]), damping=np.array([5.0]))
-    oracle = NodeMotion(structure, law, external_force=weight)
-    nodes, _ = oracle.integrate(structure.nodes, np.zeros((3, 3)), np.array([0.0, 1.0, 2.0]))
+    nodes, _ = exact_motion(structure, law, np.array([0.0, 1.0, 2.0]), external_force=weight)
     exact = tc.simulate(model, 2.0, rest_length=18.0, tolerance=1e-12, output_step=1.0)
     np.testing.assert_allclose(exact.nodes, nodes, atol=1e-7)
 

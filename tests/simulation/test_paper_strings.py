@@ -19,7 +19,8 @@ import pytest
 
 import tenscontrol as tc
 from tests.dynamics.scenes import paper_force_density, rest_lengths
-from tests.oracle import HeldRestLength, RigidBars
+from tests.located_motion import exact_motion
+from tests.oracle import HeldRestLength
 
 SEGMENTS, NODE_MASS, STIFFNESS = 4, 0.01, 100.0
 READINGS = ("whole", "literal")
@@ -46,10 +47,7 @@ def exact():
     for reading in READINGS:
         model, lengths = scene(reading)
         law = HeldRestLength(lengths, model.strings.stiffness)
-        still = np.zeros_like(model.structure.nodes)
-        nodes, switches = RigidBars(model.structure, law).integrate(
-            model.structure.nodes, still, time
-        )
+        nodes, switches = exact_motion(model.structure, law, time)
         found[reading] = SimpleNamespace(nodes=nodes, switches=switches)
     return found
 
