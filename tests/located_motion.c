@@ -13,9 +13,9 @@
 enum { STAGES = 12, ALL_STAGES = 16, POWERS = 7, SAMPLES = 11 };
 enum { DONE = 0, TOO_MANY_EVALUATIONS = 1, STEP_TOO_SMALL = 2, NOT_FINITE = 3, STUCK = 4 };
 
-/* Numbers of a plane: stiffness, damping, friction, slip speed, height and normal. */
+/* Numbers of a plane: stiffness, damping, friction, slip speed, height, exponent and normal. */
 typedef struct {
-    double stiffness, damping, friction, slip_speed, height, normal[3];
+    double stiffness, damping, friction, slip_speed, height, exponent, normal[3];
 } Plane;
 
 typedef struct {
@@ -157,7 +157,8 @@ static void press(Work *w)
             const Plane *plane = s->plane + p;
             double rate, slip[3], square = plane->slip_speed * plane->slip_speed;
             const double depth = depth_of(w, plane, node, &rate);
-            const double force = plane->stiffness * depth * (1 + plane->damping * rate);
+            const double size = copysign(pow(fabs(depth), plane->exponent), depth);
+            const double force = plane->stiffness * size * (1 + plane->damping * rate);
             for (int j = 0; j < d; j++) {
                 slip[j] = w->V[d * node + j] + rate * plane->normal[j];
                 square += slip[j] * slip[j];

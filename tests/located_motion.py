@@ -52,7 +52,7 @@ class Work:
 class _Plane(ctypes.Structure):
     _fields_ = [
         *[(name, ctypes.c_double) for name in (
-            "stiffness", "damping", "friction", "slip_speed", "height",
+            "stiffness", "damping", "friction", "slip_speed", "height", "exponent",
         )],
         ("normal", ctypes.c_double * 3),
     ]  # fmt: skip
@@ -119,9 +119,6 @@ def located_motion(
     OracleError
         If the motion takes more evaluations, leaves the range of numbers, or stalls.
     """
-    powers = [plane.exponent for plane, _ in ground if plane.exponent != 1]
-    if powers:
-        raise OracleError(f"a plane has the exponent {powers[0]:g}, expected 1")
     d, count = structure.nodes.shape
     alpha, rows = len(structure.strings), free_rows(structure)
     mass = np.kron(consistent_mass(structure), np.eye(d))[np.ix_(rows, rows)]
@@ -132,7 +129,7 @@ def located_motion(
     for mask, (_, below) in zip(touches, ground, strict=True):
         mask[below] = 1
     planes = (_Plane * max(len(ground), 1))(*[
-        _Plane(p.stiffness, p.damping, p.friction, p.slip_speed, p.height,
+        _Plane(p.stiffness, p.damping, p.friction, p.slip_speed, p.height, p.exponent,
                (ctypes.c_double * 3)(*p.normal))
         for p, _ in ground
     ])  # fmt: skip
@@ -175,13 +172,13 @@ def exact_motion(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return node positions at the times, shape (d, n, T), and times of switches.
 
-    By the oracle in C with a tolerance near round-off; by that in NumPy where there is no compiler,
-    or a plane has an exponent. Planes are under all nodes.
+    By the oracle in C with a tolerance near round-off; by that in NumPy where there is no compiler.
+    Planes are under all nodes.
     """
     nodes = structure.nodes if nodes is None else nodes
     velocities = np.zeros_like(nodes) if velocities is None else velocities
     load = 0.0 if external_force is None else external_force
-    if c_compiler() is None or any(plane.exponent != 1 for plane in ground):
+    if c_compiler() is None:
         motion = NodeMotion(structure, law, load, ground)
         return motion.integrate(nodes, velocities, times)
     planes = [(plane, np.arange(nodes.shape[1])) for plane in ground]
