@@ -95,6 +95,7 @@ def test_the_folder_is_named_after_the_scene(tmp_path, monkeypatch, scene):
     assert (tmp_path / "tenscontrol-rest" / "trajectory.npz").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_closed_loop_is_saved_with_its_record(tmp_path, capsys):
     text = (SCENES / "prism_mpc.toml").read_text(encoding="utf-8")
     file = tmp_path / "short.toml"

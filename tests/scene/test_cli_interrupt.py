@@ -41,11 +41,13 @@ def one_line(capsys):
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_simulate(tmp_path, monkeypatch, capsys, number, status):
     press_at(6, monkeypatch, RK4, "advance", number)
+    if number == signal.SIGTERM:  # figures take nearly all of the time
+        monkeypatch.setattr("tenscontrol.cli._draw", lambda run, folder: [])
     assert main(["simulate", str(SCENES / "prism_mpc.toml"), "--output", str(tmp_path)]) == status
     assert "ended early" in one_line(capsys)
     with np.load(tmp_path / "trajectory.npz") as saved:
         assert saved["time"][-1] > 0
-    assert (tmp_path / "trajectory.png").exists()
+    assert (tmp_path / "trajectory.png").exists() == (number == signal.SIGINT)
     if number == signal.SIGTERM:
         with pytest.raises(SystemExit), interruptible():
             pytest.fail("a program that was told to end goes on")
