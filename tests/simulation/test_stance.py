@@ -52,7 +52,7 @@ def test_a_push_is_brought_back(name, kind):
     push = plant.to_velocities(np.zeros(r), 0.05 * np.random.default_rng(0).normal(size=r))
     run = tc.simulate(
         model, 1.5, nodes, push, controller=controller(plant, kind), rest_length=lengths,
-        step=5e-4,
+        step=5e-4, error="none",
     )  # fmt: skip
     assert set(run.control.status_count) == {Status.OK}
     off = np.linalg.norm(run.nodes - nodes[:, :, None], axis=0)
@@ -87,15 +87,10 @@ def test_a_node_is_moved_by_a_twentieth_of_the_size(name, kind):
         np.column_stack([stance.force_density, goal.force_density]),
     )  # fmt: skip
     run = tc.simulate(
-        model,
-        2.5,
-        nodes,
-        controller=controller(plant, kind, reference=reference),
-        rest_length=lengths,
-        step=5e-4,
-        output_step=0.1,
-        limits=tc.HealthLimits(position_error=0.05),
-    )
+        model, 2.5, nodes, controller=controller(plant, kind, reference=reference),
+        rest_length=lengths, step=5e-4, output_step=0.1,
+        limits=tc.HealthLimits(position_error=0.05), error="none",
+    )  # fmt: skip
     off = np.linalg.norm(run.nodes[:, top, -1] - there[:, top])
     assert off < 0.01 * size
 
@@ -114,9 +109,9 @@ def test_only_ground_may_take_the_place_of_supports():
     lqr = controller(plant, "lqr")
     bare = tc.Model(model.structure, strings=model.strings, gravity=GRAVITY)
     with pytest.raises(ValueError, match="fixed nodes"):
-        tc.simulate(bare, 0.1, stance.structure.nodes, controller=lqr)
+        tc.simulate(bare, 0.1, stance.structure.nodes, controller=lqr, error="none")
     # On its supports it runs as well.
-    run = tc.simulate(plant.model, 0.05, controller=lqr, step=1e-3)
+    run = tc.simulate(plant.model, 0.05, controller=lqr, step=1e-3, error="none")
     np.testing.assert_allclose(run.nodes[:, :, -1], stance.structure.nodes, atol=1e-9)
 
 
@@ -162,7 +157,7 @@ def test_sensors_of_the_structure_estimate_a_stance_on_its_feet(of):
     estimator = tc.KalmanFilter(plant, sensors, sample_time=0.01)
     run = tc.simulate(
         model, 0.2, stance.structure.nodes, controller=controller(plant, "lqr"),
-        estimator=estimator, rest_length=lengths, step=1e-3,
+        estimator=estimator, rest_length=lengths, step=1e-3, error="none",
     )  # fmt: skip
     off = run.control.estimate.nodes - run.nodes[:, :, :-1:10]
     assert np.linalg.norm(off, axis=0).max() < 2e-3
