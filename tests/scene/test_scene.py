@@ -1159,7 +1159,7 @@ TOO_MUCH = {
         r":1: exceeds",
     ),
     "keys": ("".join(f"k{i} = {i}\n" for i in range(200_000)), r":100001: exceeds"),
-    "tables": ("".join(f"[t{i}]\n" for i in range(600_000)), r":100001: exceeds"),
+    "tables": ("".join(f"[t{i}]\n" for i in range(200_000)), r":100001: exceeds"),
     "tables in a list": ("a = [" + "{}," * 200_000 + "]", r":1: exceeds"),
     "lists": ("a = [" + "[]," * 300_000 + "]", r":1: exceeds"),
     "nested lists": ("\n\na = " + "[" * 10_000 + "]" * 10_000, r":3: exceeds"),
