@@ -55,6 +55,12 @@ def test_the_contracts_of_imports_hold():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_campaigns_import_what_there_is():
+    """Some run by their command alone."""
+    for path in PROJECT.glob("tests/fuzz/[!_]*.py"):
+        importlib.import_module(f"tests.fuzz.{path.stem}")
+
+
 def imported(path):
     """Line and full name of each module that a file imports names of this package from."""
     for node in syntax(path):
