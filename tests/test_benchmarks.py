@@ -305,6 +305,15 @@ def test_qp_solvers(printed):
     assert row(text, "stages")[0] == 1.0
 
 
+@needs_core
+def test_exact_commands(printed):
+    text = printed("exact_commands", "--count 2 --only d_bar")
+    assert "8 commands, 8 compared" in text
+    assert "0 off by more than 1e-09" in text
+    assert text.startswith("8 commands")
+    assert "status: {'ok': 8}" in text
+
+
 def test_contact_estimation(printed, monkeypatch):
     module = import_module("tests.benchmarks.contact_estimation")
     monkeypatch.setattr(module, "normalized_errors", lambda *_: (1.0, 1.0))  # estimation has them

@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.optimize import linprog, nnls
-from scipy.sparse import block_array, csc_array, eye_array
+from scipy.sparse import block_array, csc_array, diags_array, eye_array, vstack
 from scipy.sparse.linalg import splu
 
 # A row is active where a solution is so near to its bound.
@@ -10,6 +10,9 @@ _NEAR = 1e-8
 
 # Added to the equations of rows that may depend on others; refinement takes it out.
 _ADDED = 1e-9
+
+# Unknowns but states, beyond which no optimum is found without a point near by.
+_MOST = 150
 
 
 def exact_optimum(P, q, A, low, high, near):
@@ -77,12 +80,110 @@ def fill_violations(x, A, low, high, first):
                 x[first + i] = max(x[first + i], (bound - off[row]) / entry)
 
 
-def certain_inputs(program):
+class UncertainError(Exception):
+    """The optimum of a program is not known in long double."""
+
+
+def certain_inputs(program, near):
     """Return the inputs, (α, N), at the optimum of a :class:`QuadraticProgram`, in long double.
 
-    Without a solution near by: the states are eliminated, and a dual active set on orthogonal
-    factors solves the rest (D. Goldfarb & A. Idnani, *Mathematical Programming* 27, 1983).
+    By the rows that are active at inputs near by, if the conditions of the optimum then hold. If
+    not, without those: the states are eliminated, and a dual active set on orthogonal factors
+    solves the rest (D. Goldfarb & A. Idnani, *Mathematical Programming* 27, 1983).
     """
+    x = _from_active(program, point_of_inputs(program, near))
+    if x is None:
+        free = len(program.q) - program.first
+        if free > _MOST:
+            raise UncertainError(f"{free} unknowns")
+        x = _by_dual_active_set(program)
+    return program.inputs(x.astype(float))
+
+
+def _from_active(program, near):
+    """Return the optimum by the rows that are active at a point; None if it is not certain."""
+    P, A = (csc_array(matrix) for matrix in (program.P, program.A))
+    exact_A = A.astype(np.longdouble).tocsr()
+    q, low, high = (np.asarray(v, np.longdouble) for v in (program.q, program.l, program.u))
+    product = A @ near
+    margin = _NEAR * (1 + np.abs(product))
+    side = np.where(product > high - margin, 1, 0) - np.where(product < low + margin, 1, 0)
+    side[low == high] = 2
+    for _ in range(10):
+        taken = np.flatnonzero(side)
+        bound = np.where(side > 0, high, low)[taken]
+        active = A[taken]
+        system = csc_array(block_array([[P, active.T], [active, None]]))
+        both, step = _solved(system, np.concatenate([-q, bound]), len(q))
+        count = program.origin.size
+        x, y = both[: len(q)], np.zeros(len(low), np.longdouble)
+        y[taken] = both[len(q) :]
+        product = exact_A @ x
+        over = np.maximum(product - high, low - product) / (1 + np.abs(product))
+        wrong = np.where(np.abs(side) == 1, -side * y, 0)
+        if not np.abs(step[program.first :][:count]).max() < 1e-12:
+            return None
+        if over.max() < 1e-14 and wrong.max() < 1e-12:
+            return x
+        if over.max() < 1e-14 and _has_multipliers(program, x.astype(float), side):
+            return x
+        side[wrong > 1e-12] = 0
+        more = (over > 1e-14) & (side == 0)
+        side[more] = np.where(product > high, 1, -1)[more]
+    return None
+
+
+def _has_multipliers(program, x, side):
+    """Return whether multipliers of the signs of sides exist: where rows depend on others."""
+    s, free = program.first, len(x) - program.first
+    if free > _MOST:
+        return False
+    A, slope = program.A.tocsr(), program.P @ x + program.q
+    motion = splu(csc_array(A[:s, :s]))
+    by_free = np.vstack([-motion.solve(A[:s, s:].toarray()), np.eye(free)])
+    taken = np.flatnonzero(np.abs(side) == 1)
+    outward = side[taken, None] * (A[taken] @ by_free)
+    size = np.maximum(np.linalg.norm(outward, axis=1), np.finfo(float).tiny)
+    _, left = nnls((outward / size[:, None]).T, -(slope @ by_free), maxiter=100 * free)
+    return left < 1e-10
+
+
+def _solved(system, right, count):
+    """Return the solution of ``[P Aᵀ; A 0]`` in long double and what it may be off by."""
+    unit = np.ones(len(right))
+    for _ in range(10):
+        scaled = abs(system) * unit
+        unit /= np.sqrt(scaled.max(axis=1).toarray().ravel() * unit)
+    factors = splu(
+        csc_array(
+            unit[:, None] * system * unit
+            + diags_array(np.where(np.arange(len(right)) < count, _ADDED, -_ADDED))
+        )
+    )
+    exact, x = system.astype(np.longdouble).tocsr(), np.zeros(len(right), np.longdouble)
+    for _ in range(60):
+        step = unit * factors.solve((unit * (right - exact @ x)).astype(float))
+        x += step
+    return x, step
+
+
+def is_feasible_program(program):
+    """Return whether any point keeps the rows of a program."""
+    A, equal = program.A.tocsr(), program.l == program.u
+    above, below = np.isfinite(program.u) & ~equal, np.isfinite(program.l) & ~equal
+    rows = vstack([A[above], -A[below]])
+    bounds = np.concatenate([program.u[above], -program.l[below]])
+    unit = np.maximum(1.0, np.abs(bounds).max(initial=1.0))
+    found = linprog(
+        np.zeros(len(program.q)), rows, bounds / unit, A[equal], program.l[equal] / unit,
+        bounds=(None, None),
+    )  # fmt: skip
+    if found.status not in (0, 2):
+        raise UncertainError(found.message)
+    return found.status == 0
+
+
+def _by_dual_active_set(program):
     A, s = program.A.toarray().astype(np.longdouble), program.first
     T = np.zeros((A.shape[1], 1 + A.shape[1] - s), np.longdouble)  # unknowns by 1 and what is free
     T[s:, 1:] = np.eye(A.shape[1] - s)
@@ -101,7 +202,7 @@ def certain_inputs(program):
     kept = (size > 0) & np.isfinite(bounds)
     rows, bounds = rows[kept] / size[kept, None], bounds[kept] / size[kept]
     y = _nearest_within(target, rows, bounds)
-    return program.inputs((start + T @ _forward(L[::-1, ::-1].T, y[::-1])[::-1]).astype(float))
+    return start + T @ _forward(L[::-1, ::-1].T, y[::-1])[::-1]
 
 
 def _cholesky(H):
@@ -125,7 +226,7 @@ def _nearest_within(target, rows, bounds):
     """Return the point nearest to a target whose products with unit rows keep their bounds."""
     x, active, y = target.copy(), [], np.zeros(0, np.longdouble)
     Q, R = _orthogonal(rows[active])
-    while True:
+    for _ in range(4 * len(rows)):
         off = (rows @ x - bounds) / (1 + np.abs(bounds))
         off[active] = -np.inf
         worst, own = int(off.argmax()), np.longdouble(0)
@@ -139,7 +240,8 @@ def _nearest_within(target, rows, bounds):
             ratios = np.where(falls > 0, y / np.where(falls > 0, falls, 1), np.inf)
             full = (rows[worst] @ x - bounds[worst]) / square if square > 1e-28 else np.inf
             step = min([full, *ratios])
-            assert np.isfinite(step), "no point keeps all rows"
+            if not np.isfinite(step):
+                raise UncertainError("no point keeps all rows")
             x = x - (step * across if square > 1e-28 else 0)
             y, own = y - step * falls, own + step
             if step == full:
@@ -148,6 +250,7 @@ def _nearest_within(target, rows, bounds):
                 first = int(ratios.argmin())
                 active, y = active[:first] + active[first + 1 :], np.delete(y, first)
             Q, R = _orthogonal(rows[active])
+    raise UncertainError("too many changes")
 
 
 def _orthogonal(rows):

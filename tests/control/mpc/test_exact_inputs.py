@@ -5,7 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 import tenscontrol as tc
+from tenscontrol.control.mpc import OutputLimit
 from tenscontrol.control.mpc.sparse import Sparse
+from tests.benchmarks.exact_commands import EXACT, commands, pushed
 from tests.control.mpc.optimum import certain_inputs, exact_optimum, point_of_inputs
 
 HORIZON, SAMPLES = 5, 6
@@ -89,5 +91,31 @@ def test_inputs_that_cost_little_keep_their_digits(seed):
     speeds = (plant.basis @ (3 * push[1])).reshape(nodes.shape, order="F")
     program = mpc.program(0.0, nodes, speeds)
     assert mpc.command(0.0, nodes, speeds).status == "ok"
-    off = np.abs(certain_inputs(program) - mpc.plan).max()
+    off = np.abs(certain_inputs(program, mpc.plan) - mpc.plan).max()
     assert off < 1e-10 * mpc.law.design.problem.level
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="no long double")
+def test_limits_that_nearly_depend_on_others_are_seen_to_do_so():
+    """The width of a rhombus is kept in a narrow band by γ that cost next to nothing."""
+    structure = tc.library.d_bar()
+    plant = tc.linearize(tc.Model(structure), tc.prestress(structure, force_density=6.4))
+    row = np.zeros((1, 8))
+    row[0, [0, 4]] = -1.0, 1.0
+    width = float((row @ plant.nodes.ravel(order="F"))[0])
+    mpc = tc.MPC(
+        plant, horizon=7, sample_time=1.0, R=[2.4e-5, 7e-6], max_force_density=[6.5, 9.6],
+        max_change=2.4, outputs=[OutputLimit(row, width - 9e-3, width + 9e-3, penalty=90.0)],
+    )  # fmt: skip
+    ends = pushed(mpc, np.random.default_rng(0), count=60)
+    assert {one.status for one in ends} == {"ok"}
+    assert max(one.error for one in ends) < EXACT
+    assert max(one.changes for one in ends) > 100
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="no long double")
+@pytest.mark.parametrize("seed", range(8))
+def test_commands_of_random_programs_are_exact(seed):
+    for one in commands(seed):
+        assert one.status == "ok" or one.note == "no point keeps all rows"
+        assert one.error < EXACT or one.note
