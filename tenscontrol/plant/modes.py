@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +46,9 @@ _ROUND = 1e-9
 
 # Parts of the stretch of a motion that strings resist weakly, and of a shape that is in mechanisms.
 _WEAK, _PART = 1e-7, 1e-2
+
+# Displacements as large as the largest but for this part may be so on another machine.
+_AS_LARGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +118,9 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
 
     Motions without stiffness and damping are separated first, so that their frequencies are
     exactly zero. Where several modes have the same frequency, their shapes are chosen so that
-    rigid, affine and mechanism motions are not mixed.
+    rigid, affine and mechanism motions are not mixed, and each in turn so that a node moves as far
+    along an axis as it can. Signs are such that the largest of these displacements is positive, of
+    equally large ones the first: coordinates of :func:`reduce` are the same on every machine.
 
     Parameters
     ----------
@@ -282,10 +288,15 @@ def _in_order(
 ) -> Modes:
     """Return modes of a plant, of poles and displacements q, in order of frequency."""
     order = np.lexsort([_rank(labels), np.round(np.abs(poles), 9)])
-    poles, vectors = poles[order], vectors[:, order]
+    poles, vectors, labels = poles[order], vectors[:, order], [labels[i] for i in order]
     size = np.abs(poles)
     d, n = plant.nodes.shape
     moved = plant.coordinates.displacements(vectors)
+    is_reduced = plant.coordinates.kind != "nodes"
+    for first, last in clusters(size**2) if is_reduced else ():
+        for _, same in groupby(range(first, last), labels.__getitem__):
+            run = list(same)
+            moved[:, run] = _settled(moved[:, run])
     shape = moved.reshape(n, d, len(order)).swapaxes(0, 1)
     shape = shape / np.linalg.norm(shape, axis=0).max(axis=0, initial=0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -295,10 +306,36 @@ def _in_order(
         damping=frozen(damping + 0.0),
         pole=frozen(poles),
         shape=frozen(shape),
-        label=tuple(labels[i] for i in order),
+        label=tuple(labels),
         structure=plant.model.structure,
         nodes=plant.nodes,
     )
+
+
+def _settled(moved: np.ndarray) -> np.ndarray:
+    """Return shapes of one frequency and kind, (d n, k), as no turn of them can change.
+
+    Each has the largest displacement of a node along an axis that is left when those before it are
+    taken away, and there it is positive: the first of those that are as large but for round-off.
+    Modes are orthonormal in q, so turns of them are orthogonal. Of complex ones, the phases alone.
+    """
+    settled, left = np.zeros_like(moved), np.array(moved)
+    if np.iscomplexobj(moved) and np.any(moved.imag):
+        for i, shape in enumerate(moved.T):
+            largest = shape[_first_largest(np.abs(shape))]
+            settled[:, i] = shape * (np.conj(largest) / np.abs(largest))
+        return settled
+    for i in range(moved.shape[1]):
+        axis = left[_first_largest(np.linalg.norm(left, axis=1))]
+        axis = axis / np.linalg.norm(axis)
+        settled[:, i] = left @ axis
+        left -= np.outer(settled[:, i], axis)
+    return settled
+
+
+def _first_largest(sizes: FloatArray) -> int:
+    """Return the index of the largest, the first of those that are so but for round-off."""
+    return int(np.argmax(sizes >= (1 - _AS_LARGE) * sizes.max()))
 
 
 def _rank(labels: list[str]) -> IntArray:

@@ -1,9 +1,13 @@
 """Lowest modes by sparse matrices, plants in a few modes, and laws on them with the whole model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.sparse import linalg
 
 import tenscontrol as tc
+from tenscontrol.plant.linear_plant import clusters
 from tests import known_structures
 
 RANDOM = np.random.default_rng(0)
@@ -49,6 +53,42 @@ def test_lowest_modes_are_those_of_the_dense_way(name):
         assert np.abs(a.conj() @ b) == pytest.approx(
             np.linalg.norm(a) * np.linalg.norm(b), rel=1e-6
         )
+
+
+def turned_by_another_library(monkeypatch, seed):
+    """Let each decomposition return other bases of the same spaces, as another LAPACK may."""
+    random, eigh, eigsh = np.random.default_rng(seed), np.linalg.eigh, linalg.eigsh
+
+    def turned(values, vectors):
+        for first, last in clusters(values):
+            noise = random.normal(size=(last - first,) * 2)
+            vectors[:, first:last] = vectors[:, first:last] @ np.linalg.qr(noise)[0]
+        return values, vectors
+
+    monkeypatch.setattr(np.linalg, "eigh", lambda matrix: turned(*eigh(matrix)))
+    monkeypatch.setattr(linalg, "eigsh", lambda *a, **k: turned(*eigsh(*a, **k)))
+
+
+@pytest.mark.parametrize(
+    ("held", "stages"),
+    [("force_density", 1), ("force_density", 2), ("rest_length", 1), ("rest_length", 8)],
+)  # the last by sparse matrices
+def test_reduced_coordinates_are_those_of_every_library(monkeypatch, held, stages):
+    count = 7
+    one = tc.reduce(tower(stages, held), count)
+    with monkeypatch.context() as other:
+        turned_by_another_library(other, stages)
+        two = tc.reduce(tower(stages, held), count)
+    moved = np.linalg.norm(one.basis)
+    np.testing.assert_allclose(two.basis, one.basis, rtol=0, atol=1e-6 * moved)
+    structure = one.model.structure  # the same to round-off
+    nodes = structure.nodes * (1 + 1e-14 * RANDOM.normal(size=structure.nodes.shape))
+    model = tc.Model(replace(structure, nodes=nodes), strings=one.model.strings)
+    at = tc.OperatingPoint(nodes, one.force_density)
+    three = tc.reduce(tc.linearize(model, at, input=held), count)
+    np.testing.assert_allclose(three.basis, one.basis, rtol=0, atol=1e-6 * moved)
+    largest = one.basis[np.abs(one.basis).argmax(axis=0), np.arange(one.basis.shape[1])]
+    assert (largest > 0).sum() > count / 2
 
 
 def test_a_large_plant_has_sparse_matrices_alone():
