@@ -152,8 +152,8 @@ def _solved(system, right, count):
     """Return the solution of ``[P Aᵀ; A 0]`` in long double and what it may be off by."""
     unit = np.ones(len(right))
     for _ in range(10):
-        scaled = abs(system) * unit
-        unit /= np.sqrt(scaled.max(axis=1).toarray().ravel() * unit)
+        largest = (abs(system) * unit).max(axis=1).toarray().ravel() * unit
+        unit /= np.sqrt(np.where(largest > 0, largest, 1.0))
     factors = splu(
         csc_array(
             unit[:, None] * system * unit
