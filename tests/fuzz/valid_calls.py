@@ -1104,14 +1104,15 @@ for kind in ("internal", "nodes", "minimal"):
         lambda kind=kind: {"q": np.full(plant(kind).degrees_of_freedom, 0.01)},
         lambda kind=kind: plant(kind).coordinates,
     )
-    call(
-        f"dynamics.Coordinates.to_velocities, {kind}",
-        lambda kind=kind: {
-            "q": np.full(plant(kind).degrees_of_freedom, 0.01),
-            "rates": np.full(plant(kind).degrees_of_freedom, 0.01),
-        },
-        lambda kind=kind: plant(kind).coordinates,
-    )
+    for name in ("to_motion", "to_velocities"):
+        call(
+            f"dynamics.Coordinates.{name}, {kind}",
+            lambda kind=kind: {
+                "q": np.full(plant(kind).degrees_of_freedom, 0.01),
+                "rates": np.full(plant(kind).degrees_of_freedom, 0.01),
+            },
+            lambda kind=kind: plant(kind).coordinates,
+        )
 call("dynamics.compiled", lambda: {"function": equation().slope, "timeout": 60.0}, share=0.1)
 call(
     "to_force_density", lambda: {"model": elastic(), "nodes": nodes(), "rest_length": rest_length()}
