@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from logging import getLogger
 from time import perf_counter
 
@@ -14,19 +14,21 @@ from tenscontrol import validation
 _LONG, _ASK = 20.0, 5.0
 
 
-@contextmanager
 def progress_bar(
     total: float, shown: bool, label: str = "simulating", unit: str = "s", start: float = 0.0
-) -> Iterator[Callable[[float], None]]:
-    """Yield a function that is told how far things are, from ``start`` to ``total``.
+) -> AbstractContextManager[Callable[[float], None]]:
+    """Return a context with a function that is told how far things are, from start to ``total``.
 
-    The bar shows only on a terminal, the standard error. ``shown`` is what the user gives as
+    A bar shows only on a terminal, the standard error. ``shown`` is what the user gives as
     ``progress``. Where there is no bar, work that takes long is announced once.
     """
-    validation.truth("progress", shown, "whether to show a progress bar")
-    if not (shown and _has_terminal()):
-        yield _long_work_note(start, total, label)
-        return
+    if validation.truth("progress", shown, "whether to show a progress bar") and _has_terminal():
+        return _bar(total, label, unit, start)
+    return nullcontext(_long_work_note(start, total, label))
+
+
+@contextmanager
+def _bar(total: float, label: str, unit: str, start: float) -> Iterator[Callable[[float], None]]:
     from tqdm import tqdm
 
     digits = 2 if unit == "s" else 0

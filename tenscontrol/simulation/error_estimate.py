@@ -442,7 +442,8 @@ def estimated_errors(
     ``limit`` is that up to which the motion is trusted; ``loop`` and ``is_doubted`` are as in
     :class:`Motion`; ``report`` is told the time reached, s.
     """
-    stages, half = [], len(run.model.structure.free_rows)
+    structure, stages = run.model.structure, []
+    half = len(structure.free_rows)
     for i, (before, span) in enumerate(pairwise(run.spans)):
         start = float(before.time[-1])
         u = run.packed(span.coefficients, start - span.origin)
@@ -463,7 +464,7 @@ def estimated_errors(
         return path
 
     motion = Motion(
-        run.model.structure, run.spans[0].begin, stages, _path(run, work), np.arange(half),
+        structure, run.spans[0].begin, stages, _path(run, work), np.arange(half),
         run.choice.setting, run.choice.value, run.order, run.integrator_for,
         run.equation.layout.later, of_loop, is_doubted, report,
     )  # fmt: skip

@@ -435,12 +435,12 @@ class Scene:
             return self.controller
         return as_controller(self.controller, self.structure, self.input, self.sample_time)
 
-    @property
+    @cached_property
     def begin(self) -> float:
         """Time at which the motion begins, s."""
         return 0.0 if self.start is None else float(self.start.time[-1])
 
-    @property
+    @cached_property
     def span(self) -> tuple[float, float]:
         """Times at which the motion begins and ends, s; not for users."""
         begin = self.begin
@@ -713,7 +713,6 @@ class Scene:
         SimulationError
             If the motion runs away.
         """
-        validation.truth("progress", progress, "whether to show a progress bar")
         with interruptible() as interruption:
             scene = self
             if start is not None:
@@ -828,7 +827,7 @@ _FOUND_FROM = frozenset(entry.name for entry in fields(Scene)) - frozenset(_BESI
 
 def trace(scene: Scene, run: TracedRun) -> ClosedLoop | None:
     """Run a scene by a method that can be traced; return the loop, if it has one."""
-    loop = _loop(scene, run)
+    loop = None if scene.law is None else _loop(scene, scene.law, run)
     _integrate(scene, run, loop)
     run.end_part()
     return loop
@@ -840,7 +839,7 @@ def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Traje
     begin, end = scene.span
     with progress_bar(end, progress, start=begin) as report:
         run = scene.plant_run(report)
-        loop = _loop(scene, run)
+        loop = None if scene.law is None else _loop(scene, scene.law, run)
         try:
             _integrate(scene, run, loop)
         except StoppedError as stop:
@@ -872,17 +871,15 @@ def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Traje
     return trajectory
 
 
-def _loop(scene: Scene, run: PlantRun) -> ClosedLoop | None:
-    """Return the loop of the controller with a plant run; None in open loop."""
-    if scene.law is None:
-        return None
+def _loop(scene: Scene, law: BaseController, run: PlantRun) -> ClosedLoop:
+    """Return the loop of the controller with a plant run."""
     from tenscontrol.simulation.closed_loop import ClosedLoop
 
     estimation = None
     if scene.estimator is not None:
         estimation = scene.estimator, scene.sensors, scene.seed
     return ClosedLoop(
-        run, scene.law, scene.sample_time, scene.rest_length, scene.winches, estimation, scene.start
+        run, law, scene.sample_time, scene.rest_length, scene.winches, estimation, scene.start
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from tenscontrol import validation
 from tenscontrol.dynamics.model import Model
 from tenscontrol.integrate.methods import Method
 from tenscontrol.interrupt import interruptible
@@ -243,7 +242,6 @@ def simulate(
     >>> (run.rest_length[6, [0, 250, 500, 1000]] / start[6]).round(3)
     array([1.  , 0.95, 0.9 , 0.9 ])
     """
-    validation.truth("progress", progress, "whether to show a progress bar")
     if controller is None and input is not None:
         raise ValueError("input goes with a controller; in open loop the given input is held")
     with interruptible() as interruption:  # CasADi may lose a key while it builds
