@@ -9,6 +9,7 @@ from tenscontrol.control.mpc import OutputLimit
 from tenscontrol.control.mpc.sparse import Sparse
 from tests.benchmarks.exact_commands import EXACT, commands, pushed
 from tests.control.mpc.optimum import certain_inputs, exact_optimum, point_of_inputs
+from tests.marks import needs_core
 
 HORIZON, SAMPLES = 5, 6
 
@@ -95,6 +96,7 @@ def test_inputs_that_cost_little_keep_their_digits(seed):
     assert off < 1e-10 * mpc.law.design.problem.level
 
 
+@needs_core  # OSQP, which solves without it, runs out of iterations
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="no long double")
 def test_limits_that_nearly_depend_on_others_are_seen_to_do_so():
     """The width of a rhombus is kept in a narrow band by γ that cost next to nothing."""
@@ -113,6 +115,7 @@ def test_limits_that_nearly_depend_on_others_are_seen_to_do_so():
     assert max(one.changes for one in ends) > 100
 
 
+@needs_core  # OSQP runs out of iterations
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="no long double")
 @pytest.mark.parametrize("seed", range(8))
 def test_commands_of_random_programs_are_exact(seed):
