@@ -44,6 +44,15 @@ def test_it_does_not_show_elsewhere(monkeypatch, stream):
         report(2.0)
 
 
+@pytest.mark.parametrize("error", ["estimate", "none"])
+def test_only_an_estimate_has_a_bar_of_its_own(monkeypatch, error):
+    model, stream = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0)), Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    tc.simulate(model, 0.01, rest_length=1.0, error=error, progress=True)
+    assert "simulating" in stream.getvalue()
+    assert ("estimating error" in stream.getvalue()) == (error == "estimate")
+
+
 @pytest.mark.parametrize("stream", [None, closed()], ids=["None", "closed"])
 def test_a_simulation_without_messages(monkeypatch, stream):
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))

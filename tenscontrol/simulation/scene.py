@@ -852,7 +852,8 @@ def run_scene(scene: Scene, progress: bool, interruption: Interruption) -> Traje
             if not run.spans or interruption.whole:
                 raise
             stopped = f"stopped at {run.now:.6g} s of motion: interrupted"
-    with progress_bar(scene.duration, progress, "estimating error") as report:
+    estimates = how.error == "estimate" and stopped is None
+    with progress_bar(scene.duration, progress and estimates, "estimating error") as report:
         trajectory = _trajectory(scene, run, loop, stopped, report, interruption)
     if stopped is not None or interruption.signal is not None:
         outcome = stopped or "was interrupted at its end, and is complete"
