@@ -1,4 +1,4 @@
-"""Modes of a linear plant: frequencies, damping ratios, mode shapes and their kind."""
+"""Modes of a linear plant."""
 
 from __future__ import annotations
 
