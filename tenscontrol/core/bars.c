@@ -52,10 +52,9 @@ static void put(const Motion *motion, int node, int time, double *to) {
 enum { TIMES = 1024 };
 
 /* One coordinate of a node at some times, as it lies in memory or copied. */
-static const double *along(const Motion *motion, int node, int axis, int first, int times,
-                           double *copy) {
-  const double *from =
-      motion->values + node * motion->node + axis * motion->axis + first * motion->time;
+static const double *some(const Motion *motion, int node, int axis, int first, int times,
+                          double *copy) {
+  const double *from = along(motion, node, axis) + first * motion->time;
   if (motion->time == 1) return from;
   for (int t = 0; t < times; ++t) copy[t] = from[t * motion->time];
   return copy;
@@ -80,10 +79,10 @@ static void raise_to(const Motion *rates, int first, int times, int count, const
   double copy[TIMES], mean[TIMES], beside[TIMES];
   for (int k = 0; k < 3; ++k) {
     memset(mean, 0, times * sizeof *mean);
-    for (int i = 0; i < count; ++i) add(along(rates, nodes[i], k, first, times, copy), times, mean);
+    for (int i = 0; i < count; ++i) add(some(rates, nodes[i], k, first, times, copy), times, mean);
     divide(times, count, mean);
     for (int i = 0; i < count; ++i) {
-      distances(along(rates, nodes[i], k, first, times, copy), mean, times, beside);
+      distances(some(rates, nodes[i], k, first, times, copy), mean, times, beside);
       raise_to_largest(times, beside, largest + 3 * i + k);
     }
   }

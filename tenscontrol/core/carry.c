@@ -114,8 +114,8 @@ static void weigh_some(const Tried *step, int m, const Number *rooms, int some, 
   }
 }
 
-/* Positions in the middle of a step, on its path; no force that is asked for there depends on
-   velocities. */
+/* Positions in the middle of a step, of degree 5: those of middle_of in events.c, of degree 3, would be
+   off by more than what is carried. No force that is asked for here depends on velocities. */
 WIDE static void middle_by(const Number *restrict x, const Number *restrict x1,
                            const Number *restrict slope, const Number *restrict slope1, Number h,
                            Number *restrict y, int half) {

@@ -1,4 +1,7 @@
 /* Rows of numbers in lanes become columns. */
+#ifndef TENSCONTROL_COLUMNS_H
+#define TENSCONTROL_COLUMNS_H
+
 #include "numbers.h"
 
 #if defined(__GNUC__) && LANES == 4
@@ -22,4 +25,6 @@ static inline void columns(const Number *row, Number *column) {
   for (int i = 0; i < WIDTH; ++i)
     for (int k = 0; k < WIDTH; ++k) put(lane(row + k, i), column + i, k);
 }
+#endif
+
 #endif

@@ -110,6 +110,11 @@ typedef struct {
   int64_t axis, node, time;
 } Motion;
 
+/* One coordinate of a node at all times. */
+static inline const double *along(const Motion *motion, int node, int axis) {
+  return motion->values + axis * motion->axis + node * motion->node;
+}
+
 /* Rates of some nodes as intervals begin and end. */
 typedef struct {
   Motion begin, end;

@@ -6,11 +6,6 @@
 #include "kernels.h"
 #include "largest.h"
 
-/* One coordinate of a node at all times. */
-static const double *along(const Motion *motion, int node, int axis) {
-  return motion->values + axis * motion->axis + node * motion->node;
-}
-
 WIDE static void add_bar(const double *restrict start, const double *restrict end, double mass,
                          int times, double *restrict energy) {
   for (int t = 0; t < times; ++t) {

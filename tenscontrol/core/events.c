@@ -82,7 +82,8 @@ WIDE static Truth are_finite(const Number *restrict x, int n) {
   return are;
 }
 
-/* Positions in the middle of a step, and velocities, by the cubic with those at its ends. */
+/* Positions in the middle of a step, and velocities, by the cubic with those at its ends, where no
+   acceleration may be known yet. */
 static void middle_of(Span *span, const Tried *step) {
   const int half = span->states / 2;
   const Number h = step->h;
