@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -325,6 +326,11 @@ def gravity_forces(
     places: Any = (..., structure.bars)
     np.add.at(mass, places, halves)
     return np.asarray(gravity[..., None] * mass[..., None, :])
+
+
+def with_derivatives(equation: Equation, build: Callable[[str], Equation]) -> Equation:
+    """Return an equation that can be differentiated: compiled loops are built in another form."""
+    return build("mapped") if equation.form == "loops" else equation
 
 
 def free_accelerations(equation: Equation, states: FloatArray, u: FloatArray) -> FloatArray:

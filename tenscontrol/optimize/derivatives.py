@@ -15,7 +15,7 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.contact_laws import Contacts
-from tenscontrol.dynamics.equation import Equation, InputLayout
+from tenscontrol.dynamics.equation import Equation, InputLayout, with_derivatives
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.force import Force
 from tenscontrol.dynamics.forces import Forces
@@ -101,10 +101,8 @@ class Derivatives:
         }  # fmt: skip
 
         def build() -> Equation:
-            equation = model.equation(input, **options)
-            if equation.form == "loops":  # without derivatives
-                equation = model.equation(input, form="mapped", **options)
-            return equation
+            in_form = partial(model.equation, input, None, **options)
+            return with_derivatives(in_form(), in_form)
 
         key = "equation with slopes", input, *options.values()
         #: Of which loads are inputs, too.

@@ -17,6 +17,7 @@ from tenscontrol.dynamics.equation import (
     InputLayout,
     free_accelerations,
     unpack_states,
+    with_derivatives,
 )
 from tenscontrol.dynamics.evaluator import Evaluator
 from tenscontrol.dynamics.model import Model
@@ -216,8 +217,8 @@ class PlantRun:
     def made_by(self, name: str, value: float, keeps_steps: bool) -> Integrator:
         """Return the integrator of a method by name, with a step or tolerance."""
         method, equation, how = self._method or METHODS[name], self._equation, self.integration
-        if method.differentiates and equation.form == "loops":
-            equation = self._equation_of("mapped")
+        if method.differentiates:
+            equation = with_derivatives(equation, self._equation_of)
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = how.project if method.drifts or self._method is not None else None
         integrator = method.integrator(equation, value, self.choice.setting, project)

@@ -13,7 +13,12 @@ import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, frozen
-from tenscontrol.dynamics.equation import Equation, pack_state, unpack_states
+from tenscontrol.dynamics.equation import (
+    Equation,
+    pack_state,
+    unpack_states,
+    with_derivatives,
+)
 from tenscontrol.dynamics.held_inputs import held_value, own_input
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, sampling_interval
@@ -571,8 +576,8 @@ class Scene:
         validation.truth("derivatives", derivatives, "whether derivatives are needed")
         load = self.load - self.model.constant_force
         equation = self.model.equation(self.input, load)
-        if derivatives and equation.form == "loops":
-            return self.model.equation(self.input, load, form="mapped")
+        if derivatives:
+            return with_derivatives(equation, partial(self.model.equation, self.input, load))
         return equation
 
     @cached_property

@@ -17,7 +17,12 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.control.controller import Controller
-from tenscontrol.dynamics.equation import Equation, pack_state, unpack_states
+from tenscontrol.dynamics.equation import (
+    Equation,
+    pack_state,
+    unpack_states,
+    with_derivatives,
+)
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import MASSES
 from tenscontrol.dynamics.profile import Pieces
@@ -156,9 +161,9 @@ class Runner:
         if self._lanes is not None:
             back_end = self._lanes.back_end
         elif self._shares:
-            equation = self._equation(scene.model, "auto", tuple(scene.parameters))
-            self._shared = self._for_method(method, scene.model, equation)
-            back_end = self._integrator(method, self._shared, self.choice.value).back_end
+            self._shared = self._equation(scene.model, "auto", tuple(scene.parameters))
+            value = self.choice.value
+            back_end = self._integrator(method, scene.model, self._shared, value).back_end
         else:
             back_end = "a model built for each run"
         self.choice = replace(chosen, back_end=back_end)
@@ -223,13 +228,12 @@ class Runner:
             return False
         return bool(self._are_damped().all())
 
-    def _for_method(self, method: Method, model: Model, equation: Equation) -> Equation:
-        """Return the equation of a model in a form that a method takes."""
-        if method.differentiates and equation.form == "loops":
-            return self._equation(model, "mapped", ())
-        return equation
-
-    def _integrator(self, method: Method, equation: Equation, value: float) -> Integrator:
+    def _integrator(
+        self, method: Method, model: Model, equation: Equation, value: float
+    ) -> Integrator:
+        """Return the integrator of a method, by the equation of a model in a form that it takes."""
+        if method.differentiates:
+            equation = with_derivatives(equation, lambda form: self._equation(model, form, ()))
         return method.integrator(equation, value, self.choice.setting, self._project_of(method))
 
     def _project_of(self, method: Method) -> bool | None:
@@ -543,18 +547,16 @@ class Runner:
         if self._watches:
             return self._watched(run, value)
         if self._shares:
-            return self._integrator(self._method, self._shared, value)
+            return self._integrator(self._method, self.scene.model, self._shared, value)
         model = self.scene.model_of(run)
-        equation = self._for_method(self._method, model, self._equation(model, "auto", ()))
-        return self._integrator(self._method, equation, value)
+        return self._integrator(self._method, model, self._equation(model, "auto", ()), value)
 
     def _watched(self, run: int, value: float) -> Integrator:
         model = self.scene.model if self._shares else self.scene.model_of(run)
         equation = self._equation(model, "auto", ())
 
         def make(name: str) -> Integrator:
-            method = METHODS[name]
-            return self._integrator(method, self._for_method(method, model, equation), value)
+            return self._integrator(METHODS[name], model, equation, value)
 
         return Watched(equation, self._methods_of(run)[-1], make, self.scene.duration)
 
