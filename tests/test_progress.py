@@ -53,6 +53,21 @@ def test_only_an_estimate_has_a_bar_of_its_own(monkeypatch, error):
     assert ("estimating error" in stream.getvalue()) == (error == "estimate")
 
 
+def test_a_fit_and_a_plan_count_in_their_own_units(monkeypatch):
+    prism, stream = tc.prism(), Terminal()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    lengths = 0.95 * prism.string_length()
+    run = tc.simulate(model, 0.1, rest_length=lengths, error="none", output_step=0.02)
+    sensors = tc.Sensors(structure=prism, node_position=0.001)
+    log = tc.Log.of_run(run, sensors, np.linspace(0.02, 0.1, 5))
+    told = tc.identifiable(model, log, ["stiffness"])
+    monkeypatch.setattr(sys, "stderr", stream)
+    tc.fit(model, log, ["stiffness"], groups={"stiffness": "all"}, progress=True)
+    tc.exciting_input(told, tc.Winches(rate=0.3), parts=1, most_rollouts=2, progress=True)
+    assert "100/100 % of the logs" in stream.getvalue()
+    assert "2/2 rollouts" in stream.getvalue()
+
+
 @pytest.mark.parametrize("stream", [None, closed()], ids=["None", "closed"])
 def test_a_simulation_without_messages(monkeypatch, stream):
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))

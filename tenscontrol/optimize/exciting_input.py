@@ -142,7 +142,7 @@ def exciting_input(
     most = validation.whole_number("most_rollouts", most_rollouts, 2)
     seed = validation.whole_number("seed", seed, 0, validation.LARGEST_SEED)
     search = _Search(rollouts, winches, parts)
-    with progress_bar(float(most), progress, label="planning") as report:
+    with progress_bar(float(most), progress, "planning", "rollouts") as report:
         best = search.run(most, np.random.default_rng(seed), report)
     after = identifiability_of(search.rollouts_with(best.moves), best.slope)
     return ExcitingInput(

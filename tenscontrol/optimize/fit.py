@@ -447,7 +447,7 @@ def fit(
     most = validation.whole_number("most_rollouts", most_rollouts, 1)
     rollouts = rollouts_of(model, log, parameters, known, groups, start, tolerance, step)
     solver = _Solver(rollouts, loss == "huber", most)
-    with progress_bar(1.0, progress, label="fitting") as report:
+    with progress_bar(100.0, progress, "fitting", "% of the logs") as report:
         theta, readings, message = solver.run(report)
     return _result(rollouts, theta, readings, message, loss == "huber")
 
@@ -497,7 +497,7 @@ class _Solver:
                     parts = [shorter, share, *parts]
                     continue
                 theta, done = moved, share
-                report(share)
+                report(100 * share)
         except KeyboardInterrupt:
             if readings is None:
                 raise
