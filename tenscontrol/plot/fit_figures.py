@@ -148,11 +148,11 @@ def intervals(found: Fit, *, ax: Axes | None = None) -> FitDrawing:
         ax.hlines(places[identified], *found.interval[identified].T, color=colour, linewidth=2.0)
         (lines[name],) = ax.plot(
             found.value[own], places[own], linestyle="none", marker="o", markersize=4.0,
-            color=colour, markerfacecolor="none", label=name,
+            color=colour, markerfacecolor="none", label=None if identified.any() else name,
         )  # fmt: skip
         ax.plot(
             found.value[identified], places[identified], linestyle="none", marker="o",
-            markersize=4.0, color=colour,
+            markersize=4.0, color=colour, label=name if identified.any() else None,
         )  # fmt: skip
     ax.set_yticks(places, found.labels, fontsize=8)
     ax.invert_yaxis()
