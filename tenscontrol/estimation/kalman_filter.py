@@ -623,10 +623,12 @@ class KalmanFilter:
             forward._estimate(*state, sample.held)
             for state, sample in zip(states, passes, strict=True)
         ]
-        filtered = [forward._estimate(sample.z, sample.P, sample.held) for sample in passes]
+        T, shape = self.plant.basis, self.plant.nodes.shape
+        filtered = [_deviation(T, sample.P).reshape(shape, order="F") for sample in passes]
 
-        def series(name: str, estimates: list[Estimate]) -> FloatArray:
-            return frozen(np.stack([getattr(estimate, name) for estimate in estimates], axis=-1))
+        def series(name: str) -> FloatArray:
+            values = [getattr(estimate, name) for estimate in estimates_by_all]
+            return frozen(np.stack(values, axis=-1))
 
         names = (
             "nodes", "velocities", "node_deviation", "bias", "bias_deviation", "rest_length_error",
@@ -634,12 +636,12 @@ class KalmanFilter:
         )  # fmt: skip
         return SmoothedMotion(
             time=frozen(self.sample_time * np.arange(samples)),
-            filtered_node_deviation=series("node_deviation", filtered),
-            load=series("load", estimates_by_all) if self._design.settings.load else None,
-            filtered_state=series("state", filtered),
+            filtered_node_deviation=frozen(np.stack(filtered, axis=-1)),
+            load=series("load") if self._design.settings.load else None,
+            filtered_state=frozen(np.stack([sample.z for sample in passes], axis=-1)),
             covariance=frozen(np.stack([P for _, P in states])),
             filtered_covariance=frozen(np.stack([sample.P for sample in passes])),
-            **{name: series(name, estimates_by_all) for name in names},
+            **{name: series(name) for name in names},
         )
 
     def _pass(self, y: FloatArray, held: FloatArray) -> Pass:
@@ -783,7 +785,7 @@ class KalmanFilter:
             T = self._pose.turned(T)
             if force is not None:
                 force = self._pose.turned(force[:, None])
-        by_node, by_length = (((D @ P[:r, :r]) * D).sum(axis=1) for D in (T, stretch))
+        by_node, by_length = (_deviation(D, P) for D in (T, stretch))
         extra, variance = self._design.extra, np.diag(P)
         bias, wound = np.zeros((2, len(self.sensors.noise))), np.zeros((2, self.plant.B.shape[1]))
         bias[:, list(extra.biased)] = z[extra.of_bias], np.sqrt(variance[extra.of_bias])
@@ -800,8 +802,8 @@ class KalmanFilter:
             load=None if force is None else frozen(force.reshape(shape, order="F")),
             state=frozen(z),
             covariance=frozen(P),
-            node_deviation=frozen(np.sqrt(by_node).reshape(shape, order="F")),
-            length_deviation=frozen(np.sqrt(by_length)),
+            node_deviation=frozen(by_node.reshape(shape, order="F")),
+            length_deviation=frozen(by_length),
             status=self._tally.last,
         )
 
@@ -818,6 +820,12 @@ class KalmanFilter:
             f"KalmanFilter({self._size} states, {len(self.sensors.readings)} readings, "
             f"sample time {self.sample_time:g} s, {kind} prediction)"
         )
+
+
+def _deviation(by_motion: FloatArray, P: FloatArray) -> FloatArray:
+    """Return standard deviations of numbers whose derivatives by the motion q are the rows."""
+    r = by_motion.shape[1]
+    return np.asarray(np.sqrt(((by_motion @ P[:r, :r]) * by_motion).sum(axis=1)))
 
 
 def _checked_covariance(value: object, size: int) -> FloatArray:
