@@ -90,26 +90,8 @@ def free_entries(structure: Structure, free: Symbolic) -> Symbolic:
     """Return the column of what supports leave free, in columns of the nodes that are not fixed."""
     if not structure.rollers:
         return ca.vec(free)
-    return ca.vec(free)[_free_places(structure)]
-
-
-def free_columns(structure: Structure, entries: Symbolic) -> Symbolic:
-    """Return columns of the nodes that are not fixed, shape (d, k), from those entries.
-
-    The inverse of :func:`free_entries`: what rollers hold is left empty.
-    """
-    d = structure.dimension
-    if not structure.rollers:
-        return ca.reshape(entries, d, -1)
-    columns = type(entries)(d * len(structure.free), 1)
-    columns[_free_places(structure)] = entries
-    return ca.reshape(columns, d, -1)
-
-
-def _free_places(structure: Structure) -> list[int]:
-    """Return where in columns of the nodes that are not fixed supports leave entries free."""
-    free = ~held_directions(structure)[structure.free]
-    return np.flatnonzero(free).tolist()
+    is_free = ~held_directions(structure)[structure.free]
+    return ca.vec(free)[np.flatnonzero(is_free).tolist()]
 
 
 def differences(columns: Symbolic, pairs: IntArray) -> Symbolic:

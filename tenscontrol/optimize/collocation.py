@@ -212,11 +212,11 @@ def _lagrange(points: FloatArray, at: FloatArray, order: int = 0) -> FloatArray:
 
 
 class _Watch(ca.Callback):  # type: ignore[misc]  # CasADi has no types
-    """Stops IPOPT where Ctrl-C has come, and tells how far it is."""
+    """Counts iterations of IPOPT, and stops it where Ctrl-C has come."""
 
-    def __init__(self, shape: tuple[int, int], report: Callable[[int], None]) -> None:
+    def __init__(self, shape: tuple[int, int]) -> None:
         ca.Callback.__init__(self)
-        self._shape, self._report = shape, report
+        self._shape = shape
         self.iterations, self.interrupted = 0, False
         self.construct("watch", {})
 
@@ -237,7 +237,6 @@ class _Watch(ca.Callback):  # type: ignore[misc]  # CasADi has no types
     def eval(self, _: Any) -> list[int]:
         """Return whether to stop."""
         self.iterations += 1
-        self._report(self.iterations)
         try:
             check()
         except KeyboardInterrupt:
@@ -419,9 +418,7 @@ class Collocation:
     # ---- its solution ----
 
     @on_one_thread
-    def solve(
-        self, guess: DiscreteMotion, most_iterations: int, report: Callable[[int], None]
-    ) -> Solution:
+    def solve(self, guess: DiscreteMotion, most_iterations: int) -> Solution:
         """Return the optimum that IPOPT finds from a guess, or where it ended.
 
         Raises ValueError if there are fewer unknowns than equations.
@@ -437,7 +434,7 @@ class Collocation:
             )
         with BUILDING:
             problem, derivatives = self._program()
-            watch = _Watch((self._size, len(row_low)), report)
+            watch = _Watch((self._size, len(row_low)))
             options = {
                 "print_time": False,
                 "show_eval_warnings": False,

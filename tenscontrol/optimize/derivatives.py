@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.equation import Equation, InputLayout, with_derivatives
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
@@ -255,8 +256,8 @@ class Derivatives:
         symbols = law_symbols(self._laws)
         forces = symbolic_forces(model, self._input, self._laws, symbols)
         half = self.half
-        N = _all_nodes(model, x[:half], model.structure.nodes)
-        V = _all_nodes(model, x[half:], np.zeros(model.structure.nodes.shape))
+        N = kernel.placed(model.structure, x[:half], model.structure.nodes)
+        V = kernel.placed(model.structure, x[half:], np.zeros(model.structure.nodes.shape))
         layout = equation.layout
         if layout.offset:
             N, V = (
@@ -308,8 +309,8 @@ class Derivatives:
 
         def build() -> ca.Function:
             state, structure = ca.SX.sym("x", len(x)), self.structure
-            N = _all_nodes(self._model, state[: self.half], structure.nodes)
-            V = _all_nodes(self._model, state[self.half :], np.zeros(structure.nodes.shape))
+            N = kernel.placed(structure, state[: self.half], structure.nodes)
+            V = kernel.placed(structure, state[self.half :], np.zeros(structure.nodes.shape))
             start, end = structure.bars.T.tolist()
             B, rate = (nodes[:, end] - nodes[:, start] for nodes in (N, V))
             along = (ca.sum1(B * rate) / ca.sqrt(ca.sum1(B * B))).T
@@ -476,10 +477,3 @@ def _with_symbols(term: Force, symbols: list[tuple[int, str, Any]]) -> Force:
     for i, name, symbol in symbols:
         object.__setattr__(laws[i], name, symbol)
     return Contacts(tuple(laws), term.nodes, term.switch)
-
-
-def _all_nodes(model: Model, free: Any, held: FloatArray) -> Any:
-    """Return columns of all nodes, (d, n), from what supports leave free and what they hold."""
-    nodes = ca.SX(ca.DM(held.ravel(order="F")))
-    nodes[model.structure.free_rows.tolist()] = free
-    return ca.reshape(nodes, *held.shape)

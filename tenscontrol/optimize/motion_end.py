@@ -52,10 +52,8 @@ class MotionEnd:
 
     def _shape_rows(self, places: Any, velocities: Any) -> Rows:
         structure = self._structure
-        N, V = (
-            kernel.all_nodes(structure, kernel.free_columns(structure, vector), fixed)
-            for vector, fixed in ((places, structure.nodes), (velocities, None))
-        )
+        N = kernel.placed(structure, places, structure.nodes)
+        V = kernel.placed(structure, velocities, np.zeros_like(structure.nodes))
         i, j = (column.tolist() for column in self._pairs.T)
         apart = self._goal[:, i] - self._goal[:, j]
         d, n = self._goal.shape

@@ -200,10 +200,8 @@ class MotionLimits:
     def state(self, now: Instant) -> StringState:
         """Return the strings at an instant, as if all were taut."""
         structure, law = self._structure, self._model.strings
-        nodes, velocities = (
-            kernel.all_nodes(structure, kernel.free_columns(structure, vector), fixed)
-            for vector, fixed in ((now.places, structure.nodes), (now.velocities, None))
-        )
+        nodes = kernel.placed(structure, now.places, structure.nodes)
+        velocities = kernel.placed(structure, now.velocities, np.zeros_like(structure.nodes))
         length, rate = (
             row.T for row in kernel.string_motion(structure, nodes, ca.densify(velocities))
         )

@@ -22,6 +22,7 @@ from tenscontrol.actuation.driven_strings import (
 )
 from tenscontrol.actuation.winches import Winches
 from tenscontrol.arrays import FloatArray, freeze_arrays, frozen
+from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.dynamics.evaluator import Function, builds, evaluate_columns
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Profile
@@ -239,11 +240,9 @@ class OptimalMotion:
         """
         self._refuse_unplanned()
         share = min(max(validation.number("time", time, "s") / self.duration, 0.0), 1.0)
-        places, rates = self._motion.at(np.array([share]))
-        structure = self.structure
-        nodes = _all_nodes(structure, places, structure.nodes)[:, :, 0]
-        velocities = _all_nodes(structure, rates, np.zeros_like(nodes))[:, :, 0]
-        return frozen(nodes), frozen(velocities * (0.0 < share < 1.0))
+        states = np.concatenate(self._motion.at(np.array([share])))
+        nodes, velocities = unpack_states(self.structure, states)
+        return frozen(nodes[:, :, 0]), frozen(velocities[:, :, 0] * (0.0 < share < 1.0))
 
     def reference(self, times: object = None) -> Reference:
         """Return the motion as the reference of a controller, as in ``MPC(..., reference=...)``.
@@ -274,7 +273,7 @@ class OptimalMotion:
                     f"times has shape {instants.shape}, expected (K,) with K at least 1"
                 )
         shares = np.clip(instants / self.duration, 0.0, 1.0)
-        nodes = _all_nodes(self.structure, self._motion.at(shares)[0], self.structure.nodes)
+        nodes, _ = unpack_states(self.structure, np.concatenate(self._motion.at(shares)))
         exact = [restore_bar_lengths(self.structure, shape) for shape in np.moveaxis(nodes, 2, 0)]
         gamma = np.array(
             [np.interp(shares * self.duration, self.time, row) for row in self.force_density]
@@ -772,7 +771,7 @@ class _Planner:
         mesh = Collocation(self._program, intervals)
         tries = _SLOWER if self._duration is None else _SLOWER[:1]
         for slower in tries:
-            solution = mesh.solve(_slowed(guess, slower), most, lambda _: None)
+            solution = mesh.solve(_slowed(guess, slower), most)
             if solution.status in _PLANNED:
                 break
         run, miss = None, (np.nan, np.nan)
@@ -844,9 +843,9 @@ class _Planner:
             message = f"{shortfall}. {_ADVICE[status]}"
         if status is not Status.OK:
             warn(f"{status}: {message}", OptimalMotionWarning)
-        structure, motion = self._model.structure, self._of_strings(solution.motion)
-        nodes = _all_nodes(structure, motion.places, structure.nodes)
-        velocities = _all_nodes(structure, motion.velocities, np.zeros_like(structure.nodes))
+        motion = self._of_strings(solution.motion)
+        states = np.concatenate([motion.places, motion.velocities])
+        nodes, velocities = unpack_states(self._model.structure, states)
         inputs = np.column_stack([motion.begin, motion.end[:, -1]])
         gamma, wound = inputs, None
         if self._input == "rest_length":
@@ -881,11 +880,9 @@ class _Planner:
     def _force_densities(
         self, nodes: FloatArray, velocities: FloatArray, rest_length: FloatArray
     ) -> FloatArray:
-        law, motion = self._model.strings, self._model.of_all_nodes("string_motion")
+        law = self._model.strings
         assert law is not None  # the rest length is the input
-        states = np.concatenate(
-            [array.reshape(-1, array.shape[2], order="F") for array in (nodes, velocities)]
-        )
+        motion, states = self._model.of_all_nodes("string_motion"), _all_states(nodes, velocities)
         lengths, rates = evaluate_columns(motion, states)
         pairs = zip(lengths.T, np.maximum(rest_length, 0.0).T, rates.T, strict=True)
         return np.column_stack([law.force_density(*instant) for instant in pairs])
@@ -899,9 +896,7 @@ def _figures(
     if run is None:
         return dict.fromkeys(("least_force_density", "peak_tension", "energy"), np.nan)
     model = run.model
-    states = np.concatenate(
-        [array.reshape(-1, array.shape[2], order="F") for array in (run.nodes, run.velocities)]
-    )
+    states = _all_states(run.nodes, run.velocities)
     lengths, rates = evaluate_columns(model.of_all_nodes("string_motion"), states)
     tension = run.force_density * lengths
     power = -tension * rates
@@ -921,6 +916,13 @@ def _figures(
         "peak_tension": float(tension.max()),
         "energy": float(trapezoid(np.maximum(by_winch, 0.0), run.time, axis=1).sum()),
     }
+
+
+def _all_states(nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+    """Return columns of all nodes and velocities, node by node, shape (2 d n, T)."""
+    return np.concatenate(
+        [array.reshape(-1, array.shape[2], order="F") for array in (nodes, velocities)]
+    )
 
 
 def _with_inputs(
@@ -958,11 +960,3 @@ def _slowed(motion: DiscreteMotion, factor: float) -> DiscreteMotion:
         velocities=motion.velocities / factor,
         stage_velocities=motion.stage_velocities / factor,
     )
-
-
-def _all_nodes(structure: Structure, places: FloatArray, fixed: FloatArray) -> FloatArray:
-    """Return columns of all nodes, shape (d, n, T), from free coordinates, shape (f, T)."""
-    d, n = structure.nodes.shape
-    flat = np.repeat(fixed.ravel(order="F")[:, None], places.shape[1], axis=1)
-    flat[structure.free_rows] = places
-    return flat.reshape(n, d, -1).swapaxes(0, 1)

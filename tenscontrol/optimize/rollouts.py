@@ -12,6 +12,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.equation import unpack_states
 from tenscontrol.dynamics.evaluator import Function, evaluate_columns
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Profile
@@ -249,15 +250,11 @@ class Rollouts:
 
 def _exact_start(model: Model, input: str, state: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return nodes and velocities at a start whose bars have their lengths."""
-    structure = model.structure
-    nodes, rows, d = structure.nodes, structure.free_rows, structure.dimension
     exact = Projector(model.equation(input), True)(state[:, None])
     if not exact.size:
         raise ValueError("bars that share nodes cannot be put on their lengths at the start")
-    parts = [nodes.ravel(order="F").copy(), np.zeros(nodes.size)]
-    for vector, values in zip(parts, np.split(exact[:, 0], 2), strict=True):
-        vector[rows] = values
-    return tuple(vector.reshape(-1, d).T for vector in parts)  # type: ignore[return-value]
+    nodes, velocities = unpack_states(model.structure, exact)
+    return nodes[:, :, 0], velocities[:, :, 0]
 
 
 def _shifted(held: Any, by: FloatArray) -> Any:
@@ -292,7 +289,7 @@ def _reading_function(model: Model, sensors: Sensors, input: str) -> ca.Function
         count, half = len(structure.strings), len(structure.free_rows)
         x, u = ca.SX.sym("x", 2 * half), ca.SX.sym("u", count)
         N, V = (
-            _columns(structure, x[rows], held)
+            kernel.placed(structure, x[rows], held)
             for rows, held in (
                 (slice(half), structure.nodes),
                 (slice(half, None), np.zeros(structure.nodes.shape)),
@@ -311,12 +308,6 @@ def _reading_function(model: Model, sensors: Sensors, input: str) -> ca.Function
         return Function("readings", [x, u, own], [ca.densify(output) for output in outputs])
 
     return model.prepared.get(key, build)
-
-
-def _columns(structure: Structure, free: Any, held: FloatArray) -> Any:
-    nodes = ca.SX(ca.DM(held.ravel(order="F")))
-    nodes[structure.free_rows.tolist()] = free
-    return ca.reshape(nodes, *held.shape)
 
 
 def refuse_accelerometers(sensors: Sensors) -> None:

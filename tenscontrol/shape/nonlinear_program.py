@@ -82,7 +82,7 @@ class ShapeProblem:
         lam = ca.SX.sym("l", self._bars.shape[1])
         w = ca.SX.sym("w", self.neutral.shape[1])
         places = ca.mtimes(_sparse(red.basis), self.size * y) + ca.DM(red.offset)
-        nodes = kernel.all_nodes(structure, kernel.free_columns(structure, places), structure.nodes)
+        nodes = kernel.placed(structure, places, structure.nodes)
         self.unknowns = ca.vertcat(y, g, lam, w)
         self.positions, self.tensions, self.nodes = y, g, nodes
         self.gamma = level * ca.mtimes(_sparse(red.strings), g)
@@ -257,7 +257,7 @@ class ShapeProblem:
         q = ca.SX.sym("q", len(structure.free_rows))
         lam = ca.SX.sym("lambda", len(structure.bars))
         rest_length = ca.SX.sym("rest_length", len(structure.strings))
-        nodes = kernel.all_nodes(structure, kernel.free_columns(structure, q), structure.nodes)
+        nodes = kernel.placed(structure, q, structure.nodes)
         B = kernel.differences(nodes, structure.bars)
         squares = kernel.dots(B, B).T / 2
         state = ca.vertcat(q, ca.SX.zeros(q.numel()))
