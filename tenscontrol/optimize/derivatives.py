@@ -26,7 +26,6 @@ from tenscontrol.integrate.projection import projection
 from tenscontrol.optimize.parameters import BESIDE, Parameter, load_of_gravity, unit_load
 from tenscontrol.optimize.projection_slope import ProjectionSlope
 from tenscontrol.properties import cached_property
-from tenscontrol.structure.structure import Structure
 
 # Of a bar's mass, what each end has of the acceleration of itself and of the other.
 _OWN, _OTHER = 1 / 3, 1 / 6
@@ -66,11 +65,8 @@ class Slopes:
 
     def of(self, some: slice | int) -> Slopes:
         """Return those at some of the states, or at one."""
-        return Slopes(
-            *(None if by is None else by[some] for by in (
-                self.by_state, self.by_input, self.by_parameters, self.by_supports, self.by_bars
-            ))  # type: ignore[arg-type]
-        )  # fmt: skip
+        chosen = {name: None if by is None else by[some] for name, by in vars(self).items()}
+        return Slopes(**chosen)
 
 
 class Derivatives:
@@ -96,7 +92,7 @@ class Derivatives:
         self, model: Model, input: str, degree: int, parameters: Sequence[Parameter],
         by_input: bool = False, moves: bool = False, drives: bool = False,
     ) -> None:  # fmt: skip
-        self._model, self._input = model, input
+        self.model, self.input, self.structure = model, input, model.structure
         options: dict[str, Any] = {
             "degree": degree, "load_input": True, "offset_input": moves, "length_input": drives
         }  # fmt: skip
@@ -115,16 +111,6 @@ class Derivatives:
         self._laws = [
             parameter for parameter in self._of if parameter.kind in ("strings", "ground")
         ]
-
-    @property
-    def model(self) -> Model:
-        """The model."""
-        return self._model
-
-    @property
-    def input(self) -> str:
-        """What the strings are given."""
-        return self._input
 
     @cached_property
     def _jacobian(self) -> ca.Function:
@@ -156,18 +142,13 @@ class Derivatives:
         self, key: tuple[Any, ...], build: Callable[[Equation], ca.Function]
     ) -> ca.Function:
         """Return a function of the equation that the model keeps, or shares with another."""
-        name = (*key, self._input, self.equation.layout)
-        return self._prepared(key, lambda: self._model.shared_function(name, self.equation, build))
+        name = (*key, self.input, self.equation.layout)
+        return self._prepared(key, lambda: self.model.shared_function(name, self.equation, build))
 
     def _prepared(self, key: tuple[Any, ...], build: Callable[[], _Built]) -> _Built:
         """Return a function that the model keeps."""
-        key = (*key, self._input, self.equation.layout)
-        return self._model.prepared.get(key, build)
-
-    @property
-    def structure(self) -> Structure:
-        """The structure of the model."""
-        return self._model.structure
+        key = (*key, self.input, self.equation.layout)
+        return self.model.prepared.get(key, build)
 
     @property
     def half(self) -> int:
@@ -210,7 +191,7 @@ class Derivatives:
         carried: FloatArray | None,
     ) -> FloatArray:  # fmt: skip
         """Return what parameters change of the forces on all nodes, shape (K, d n, P)."""
-        structure, count = self._model.structure, x.shape[1]
+        structure, count = self.structure, x.shape[1]
         d, n = structure.nodes.shape
         of_laws = iter(list[FloatArray]())
         if self._laws:
@@ -221,7 +202,7 @@ class Derivatives:
         moved[structure.free_rows] = slope[self.half :]
         if carried is not None:
             moved += carried
-        excess = self._model.gravity[:, None, None] - moved.reshape(n, d, count).swapaxes(0, 1)
+        excess = self.model.gravity[:, None, None] - moved.reshape(n, d, count).swapaxes(0, 1)
         parts: list[FloatArray] = []
         for parameter in self._of:
             if parameter in self._laws:
@@ -229,7 +210,7 @@ class Derivatives:
                 continue
             fixed = {"gravity": load_of_gravity, "external_force": unit_load}.get(parameter.kind)
             if fixed is not None:
-                constant = fixed(self._model)
+                constant = fixed(self.model)
                 parts.append(np.broadcast_to(constant, (count, *constant.shape)))
                 continue
             of_mass = np.zeros((count, n, d, parameter.size))
@@ -243,7 +224,7 @@ class Derivatives:
 
     def _add_bars(self, of_mass: FloatArray, excess: FloatArray) -> None:
         """Add what the masses of bars change, of gravity less acceleration, (d, n, K)."""
-        bars = self._model.structure.bars
+        bars = self.structure.bars
         every = np.arange(len(bars))
         for own, other in (bars.T, bars.T[::-1]):
             mean = _OWN * excess[:, own] + _OTHER * excess[:, other]
@@ -251,10 +232,10 @@ class Derivatives:
 
     def _force_slopes(self) -> ca.Function:
         """Return ``(x, u, taut) -> dF``: forces on all nodes by the parameters of laws."""
-        model, equation = self._model, self.equation
+        model, equation = self.model, self.equation
         x, u, taut = (ca.SX.sym(name, equation.slope.size1_in(i)) for i, name in enumerate("xut"))
         symbols = law_symbols(self._laws)
-        forces = symbolic_forces(model, self._input, self._laws, symbols)
+        forces = symbolic_forces(model, self.input, self._laws, symbols)
         half = self.half
         N = kernel.placed(model.structure, x[:half], model.structure.nodes)
         V = kernel.placed(model.structure, x[half:], np.zeros(model.structure.nodes.shape))
@@ -266,7 +247,7 @@ class Derivatives:
             )
         on_nodes = forces.on_nodes(N, V, equation.of_strings(u), None, taut)
         slopes = ca.jacobian(ca.vec(on_nodes), ca.vertcat(*symbols))
-        values = law_values(model, self._input, self._laws)
+        values = law_values(model, self.input, self._laws)
         slopes = ca.substitute(slopes, ca.vertcat(*symbols), values)
         return Function("by_laws", [x, u, taut], [ca.densify(ca.vec(slopes))])
 

@@ -694,17 +694,14 @@ def _result(
     variance = identifiability.directions.T**2 @ (spread / (spread + known))
     reach = _INTERVAL * np.sqrt(variance) * rollouts.deviations
     is_scaled = np.zeros(rollouts.size, dtype=bool)
-    first = 0
-    for unknown in rollouts.unknowns:
-        is_scaled[first : first + len(unknown.groups)] = unknown.is_scaled
-        first += len(unknown.groups)
+    scaled = [unknown.is_scaled for unknown in rollouts.unknowns for _ in unknown.groups]
+    is_scaled[: len(scaled)] = scaled
     interval = theta[:, None] + np.stack([-reach, reach], axis=1)
     interval[~identifiability.is_told | (message != "converged") | (chi_squared > _FAR)] = np.nan
-    value = np.where(is_scaled, np.exp(np.where(is_scaled, theta, 0.0)), theta)
+    value = theta.copy()
     with np.errstate(over="ignore"):  # where little was known before: up to infinity
-        interval = np.where(
-            is_scaled[:, None], np.exp(np.where(is_scaled[:, None], interval, 0.0)), interval
-        )
+        for numbers in (value, interval):
+            numbers[is_scaled] = np.exp(numbers[is_scaled])
     parameters = {
         unknown.name: frozen(unknown.values(own))
         for unknown, own in zip(rollouts.unknowns, rollouts.own(theta), strict=True)

@@ -95,7 +95,7 @@ class MotionLimits:
         structure = model.structure
         count = len(structure.strings)
         self._model, self._input, self._structure = model, driven.input, structure
-        self.actuation = driven.actuation
+        self.actuation, self._matrix = driven.actuation, driven.actuation.matrix.toarray()
         self.level, self._size = level, structure.size
         is_wound = self._input == "rest_length"
         bounds = checked_bounds(
@@ -205,7 +205,7 @@ class MotionLimits:
         length, rate = (
             row.T for row in kernel.string_motion(structure, nodes, ca.densify(velocities))
         )
-        values, turning = self.strings(now.input), self._moved(now.rate)
+        values, turning = self.strings(now.input), self._times(self._matrix, now.rate)
         if self._input == "force_density":
             gamma, pull, shortening = values, values * length, rate
         else:
@@ -215,35 +215,26 @@ class MotionLimits:
             stored = law.as_expressions().stored_energy(length, wound)
             pull = -ca.jtimes(stored, wound, ca.DM.ones(wound.shape))
             pull, shortening = ca.substitute(pull, wound, values), turning
-        power = self._by_winch(-pull * shortening) if now.force is None else -now.force * now.rate
+        if now.force is None:
+            power = self._times((self._matrix.T != 0).astype(float), -pull * shortening)
+        else:
+            power = -now.force * now.rate
+        on_winches = self._times(self._matrix.T, pull)  # a string counts by its ratio
         return StringState(
-            nodes, velocities, values, turning, length, rate, gamma, self._on_winches(pull), power
+            nodes, velocities, values, turning, length, rate, gamma, on_winches, power
         )
 
     def strings(self, inputs: Any) -> Any:
         """Return expressions of all strings, shape (α, 1), at those of the inputs, (m, 1)."""
         if self.actuation.is_whole:
             return inputs
-        return ca.DM(self.actuation.offset) + self._moved(inputs)
+        return ca.DM(self.actuation.offset) + self._times(self._matrix, inputs)
 
-    def _moved(self, change: Any) -> Any:
-        """Return by how much strings change where inputs do."""
-        if self.actuation.is_whole:
-            return change
-        return ca.mtimes(ca.sparsify(ca.DM(self.actuation.matrix.toarray())), change)
-
-    def _on_winches(self, pulls: Any) -> Any:
-        """Return the forces of strings on the winches: a string counts by its ratio."""
-        if self.actuation.is_whole:
-            return pulls
-        return ca.mtimes(ca.sparsify(ca.DM(self.actuation.matrix.toarray().T)), pulls)
-
-    def _by_winch(self, values: Any) -> Any:
-        """Return the sums of what the strings of each winch have, shape (m, 1)."""
+    def _times(self, matrix: FloatArray, values: Any) -> Any:
+        """Return a matrix between inputs and strings times values of the one or the other."""
         if self.actuation.is_whole:
             return values
-        is_wound = self.actuation.matrix.toarray().T != 0
-        return ca.mtimes(ca.sparsify(ca.DM(is_wound.astype(float))), values)
+        return ca.mtimes(ca.sparsify(ca.DM(matrix)), values)
 
     def _string_rows(self, state: StringState) -> list[Rows]:
         """Return limits of force densities and tensions, and that strings are taut."""

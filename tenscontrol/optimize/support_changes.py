@@ -32,11 +32,11 @@ class SupportChanges:
 
     def at(self, time: FloatArray, within: FloatArray, order: int = 0) -> FloatArray:
         """Return E, or its derivative of an order in time, by the values, (T, d n, P)."""
-        return self._of(self._moves, time, within, order)
+        return spread(self._parameter, self._moves, time, within, order)
 
     def inputs(self, time: FloatArray, within: FloatArray) -> FloatArray:
         """Return what the values change of E, Ė and the load -M Ë, (T, 3 d n, P)."""
-        load = self._of(self._inertia, time, within, 2)
+        load = spread(self._parameter, self._inertia, time, within, 2)
         return np.concatenate([self.at(time, within), self.at(time, within, 1), load], axis=1)
 
     def impulse(self, time: float, before: float | None, after: float) -> FloatArray:
@@ -44,13 +44,8 @@ class SupportChanges:
 
         By the pieces of times before and after it; before there may have been no motion.
         """
-        now = np.array([time])
-        impulse = self._of(self._inertia, now, np.array([after]), 1)
+        now, by = np.array([time]), self._parameter
+        impulse = spread(by, self._inertia, now, np.array([after]), 1)
         if before is not None:
-            impulse = impulse - self._of(self._inertia, now, np.array([before]), 1)
+            impulse = impulse - spread(by, self._inertia, now, np.array([before]), 1)
         return np.concatenate([np.zeros((1, 2 * impulse.shape[1], impulse.shape[2])), impulse], 1)
-
-    def _of(
-        self, matrix: FloatArray, time: FloatArray, within: FloatArray, order: int
-    ) -> FloatArray:
-        return spread(self._parameter, matrix, time, within, order)

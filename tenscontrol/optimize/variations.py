@@ -305,7 +305,7 @@ class Variations:
         elif plan:
             of, outputs = (np.array([leg[j] for leg in plan]) for j in (0, 2))
             h = np.array([length for _, length, _ in plan])
-            slopes = self._stages(of, h)[0]
+            slopes = stages(steps, self.derivatives, self._tableau, of, h)[0]
             states[:, outputs] = steps.states[:, of] + h * sum(
                 weight * slope for weight, slope in zip(self._tableau.b, slopes, strict=True)
             )
@@ -776,26 +776,19 @@ class Variations:
         for leg in reversed(legs) if is_back else legs:
             yield from leg
 
-    def _stages(
-        self, of: IntArray, h: FloatArray
-    ) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
-        """Return slopes, states and inputs at the stages of steps that are so long."""
-        return stages(self.steps, self.derivatives, self._tableau, of, h)
-
     def _differentiated(self, plan: list[_Leg]) -> Iterator[_Leg]:
         """Yield legs with the derivatives at their stages: found for all of them together."""
         steps, c = self.steps, self._tableau.c
         of = np.array([leg.step for leg in plan])
         h = np.array([self._length_of(leg) for leg in plan])
-        slopes, states, inputs = self._stages(of, h)
-        stages, count = len(c), len(plan)
-        all_inputs = np.hstack(inputs)
+        slopes, states, inputs = stages(steps, self.derivatives, self._tableau, of, h)
+        count, all_inputs = len(plan), np.hstack(inputs)
         derivatives = self.derivatives.at(
-            np.hstack(states), all_inputs, np.tile(steps.taut[:, of], stages), np.hstack(slopes),
+            np.hstack(states), all_inputs, np.tile(steps.taut[:, of], len(c)), np.hstack(slopes),
             steps.support_motion(all_inputs, 2) if steps.layout.offset else None,
         )  # fmt: skip
         time = (steps.begin[of] + c[:, None] * h).ravel()
-        middle = np.tile(steps.begin[of] + h / 2, stages)
+        middle = np.tile(steps.begin[of] + h / 2, len(c))
         counts = self._counts(time, middle)
         for i, leg in enumerate(plan):
             own_counts = [None if every is None else every[i::count] for every in counts]
