@@ -76,6 +76,8 @@ class Actuators:
     A controller commands the strings of the plant, or those of its parent, whose segments then
     move together. ``start`` are the rest lengths at the start, m, shape (α,), if they are known;
     ``reached`` is what the last sample led to, and ``held`` that of the plant's strings.
+    ``actuation`` says which strings are driven, where passive ones keep what they had at the start;
+    ``winches`` are those of the inputs, and ``sample_time`` is that between commands, s.
     """
 
     reached: FloatArray
@@ -94,7 +96,7 @@ class Actuators:
         self._structure = plant_run.model.structure
         self._by_segment = commands_parent(plant_run.model, controller)
         self._count = len(controller.commanded.strings)
-        self._actuation = controller.actuation
+        self.actuation = controller.actuation
         self._plant_run, self._held = plant_run, plant_run.input
         self._convert = plant_run.input == "rest_length" and controller.input == "force_density"
         if controller.input == "rest_length" and plant_run.input == "force_density":
@@ -104,13 +106,13 @@ class Actuators:
         self._check_driven(winches)
         self._motor = None
         if winches is not None and winches.motor is not None:
-            self._motor = each_motor(self._of_leads(winches.motor), len(self._actuation.lead))
+            self._motor = each_motor(self._of_leads(winches.motor), len(self.actuation.lead))
         if plant_run.input == "force_density":
             self._refuse_lengths(winches, rest_length)
         self._input = controller.input
         self._law = plant_run.model.strings
-        self._winches = winches
-        self._sample_time = sample_time
+        self.winches = winches
+        self.sample_time = sample_time
         self._drive: Drive | None = None
         self._moves: list[tuple[FloatArray, IntArray]] = []  # of each sample: wanted, and stuck
         self._begins: list[float] = []
@@ -126,9 +128,9 @@ class Actuators:
             self.start = self._current = rest_length
         if self.start is not None:
             # Passive strings keep what they have, whatever the plant of the controller says.
-            self._actuation = through(self._actuation, self.start)
+            self.actuation = through(self.actuation, self.start)
             if winches is not None:
-                driven = self._actuation.driven
+                driven = self.actuation.driven
                 winches.refuse_out_of_range("rest_length", self.start, driven)
         elif plant_run.input == "rest_length" and (
             winches is not None and (winches.rate is not None or winches.ramp or winches.motor)
@@ -138,17 +140,17 @@ class Actuators:
                 "the start, m; to_rest_length(model, nodes, force_density) finds it"
             )
         if winches is not None and plant_run.input == "rest_length":
-            self._winches = self._of_inputs(winches, controller)
+            self.winches = self._of_inputs(winches, controller)
         if self._convert:
             self._refuse_unreachable(controller.bounds[1])
 
     def _check_driven(self, winches: Winches | None) -> None:
         """Refuse what cannot be done with passive or ganged strings."""
-        if self._actuation.is_whole:
+        if self.actuation.is_whole:
             return
         if self._convert:
             raise ValueError(
-                f"the controller commands γ of a plant with {self._actuation!r}, but rest lengths "
+                f"the controller commands γ of a plant with {self.actuation!r}, but rest lengths "
                 "are held, so that passive strings would not keep their γ: give "
                 "input='force_density', or design it on linearize(..., input='rest_length')"
             )
@@ -159,25 +161,25 @@ class Actuators:
                 "strings, of which motors know no limits where γ is held: leave the motor out, or "
                 "hold rest lengths"
             )
-        refuse_stuck_passive(self._actuation, self._plant_run)
+        refuse_stuck_passive(self.actuation, self._plant_run)
 
     def _of_inputs(self, winches: Winches, controller: BaseController) -> Winches:
         """Return winches with the limits of the inputs in place of those of the strings."""
         if isinstance(controller, Controller):
-            refuse_still(self._actuation, winches, self._count)
+            refuse_still(self.actuation, winches, self._count)
         motor = None if winches.motor is None else self._of_leads(winches.motor)
-        return winches_of_inputs(winches, self._actuation, motor)
+        return winches_of_inputs(winches, self.actuation, motor)
 
     def _of_leads(self, motor: Motor) -> Motor:
         """Return the motors of the inputs, of those of all strings."""
         each_motor(motor, self._count)  # or they do not fit
-        if self._actuation.is_whole:
+        if self.actuation.is_whole:
             return motor
-        lead = self._actuation.lead
+        lead = self.actuation.lead
         per_string = {name: value for name, value in vars(motor).items() if np.ndim(value)}
         given = {name: value[lead] for name, value in per_string.items()}
         if motor.zero is not None:  # a rest length of the lead: the input by its ratio
-            given["zero"] = given.get("zero", motor.zero) / self._actuation.ratio[lead]
+            given["zero"] = given.get("zero", motor.zero) / self.actuation.ratio[lead]
         return replace(motor, **given)
 
     def _go_on(self, run: Trajectory) -> None:
@@ -194,11 +196,6 @@ class Actuators:
             self.start = self._current = validation.per_member(
                 "rest_length", self._current, self._count, where
             )
-
-    @property
-    def actuation(self) -> Actuation:
-        """Which strings are driven, where passive ones keep what they had at the start."""
-        return self._actuation
 
     @property
     def known(self) -> bool:
@@ -218,7 +215,7 @@ class Actuators:
     @property
     def ticks(self) -> int:
         """Parts of a sample, in each of which inputs are one polynomial in time."""
-        return 1 if self._winches is None else self._winches.ticks
+        return 1 if self.winches is None else self.winches.ticks
 
     def begin(self, command: Command, nodes: FloatArray, stuck: IntArray) -> WinchMove:
         """Take the command of a sample, and return the move to expect, one entry a winch."""
@@ -239,22 +236,22 @@ class Actuators:
             desired = self._law.rest_length(self._structure.string_length(nodes), gamma)
             desired = self._to_strings("rest_length", desired)
         if self._motor is not None:
-            self._asked.append(inputs_of(self._actuation, desired))
+            self._asked.append(inputs_of(self.actuation, desired))
         desired = self._unless_stuck(desired, stuck)
-        if self._winches is None:
+        if self.winches is None:
             return self._set(desired, _NONE)
-        stuck = stuck_inputs(self._actuation, stuck)
-        inputs = partial(inputs_of, self._actuation)
+        stuck = stuck_inputs(self.actuation, stuck)
+        inputs = partial(inputs_of, self.actuation)
         if self._drive is None:
             motion = None if self._earlier is None else self._earlier.at_end
             start = inputs(desired if self._current is None else self._current)
             self._new_drive = partial(
-                Drive, rest_length=start, sample_time=self._sample_time, motion=motion
+                Drive, rest_length=start, sample_time=self.sample_time, motion=motion
             )
-            self._drive = self._new_drive(self._winches)
+            self._drive = self._new_drive(self.winches)
         self._weak.append(0)
         self._moves.append((inputs(desired), stuck))
-        return of_all_members(self._actuation, self._drive.begin(inputs(desired), stuck))
+        return of_all_members(self.actuation, self._drive.begin(inputs(desired), stuck))
 
     def _set(self, value: FloatArray, weak: IntArray) -> WinchMove:
         """Hold a value at once, and return the move."""
@@ -289,9 +286,9 @@ class Actuators:
                 TakenTick(now, number, drive.now, drive.within, drive.stuck, motion())
             )
         tick = self._drive.tick(number, now, pull)
-        self._current = self.reached = strings_of(self._actuation, self._drive.rest_length)
+        self._current = self.reached = strings_of(self.actuation, self._drive.rest_length)
         self.held = self._to_plant("rest_length", self.reached)
-        lengths = polynomials_of(self._actuation, tick.rest_length)
+        lengths = polynomials_of(self.actuation, tick.rest_length)
         lengths = self._to_plant("rest_length", lengths.T).T
         if lengths.shape[1] == 1:
             return lengths[:, 0]
@@ -302,7 +299,7 @@ class Actuators:
 
         Of positions and velocities of all nodes, and rest lengths that winches have wound, m.
         """
-        act, lengths = self._actuation, self.wound(inputs)
+        act, lengths = self.actuation, self.wound(inputs)
         given = motion, lengths, np.zeros_like(lengths)
         if motion.ndim == 1:
             _, force, _, slope = self._winding(*given)
@@ -318,19 +315,19 @@ class Actuators:
 
     def wound(self, inputs: FloatArray) -> FloatArray:
         """Return rest lengths of the plant's strings, m, where winches have wound these, (m, K)."""
-        return self._to_plant("rest_length", strings_of(self._actuation, inputs).T).T
+        return self._to_plant("rest_length", strings_of(self.actuation, inputs).T).T
 
     @cached_property
     def winds(self) -> FloatArray:
         """Derivative of the rest lengths of the plant's strings by those of winches, (α′, m)."""
-        units = moved_by(self._actuation, np.eye(len(self._actuation.lead)))
+        units = moved_by(self.actuation, np.eye(len(self.actuation.lead)))
         return self._to_plant("rest_length", units).T
 
     @cached_property
     def feels(self) -> FloatArray:
         """Derivative of the forces at winches by the tensions of the plant's strings, (m, α′)."""
         units = np.eye(len(self._plant_run.model.structure.strings))
-        return forces_on_inputs(self._actuation, self._to_strings("tension", units).T)
+        return forces_on_inputs(self.actuation, self._to_strings("tension", units).T)
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
@@ -338,7 +335,7 @@ class Actuators:
             return self._at_once
         move = self._drive.end()
         self._weak[-1] = len(move.torque_limited)
-        return of_all_members(self._actuation, move)
+        return of_all_members(self.actuation, move)
 
     @property
     def _winding_function(self) -> ca.Function:
@@ -351,8 +348,8 @@ class Actuators:
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a user's controller may break its promises."""
         desired = validation.shaped("command.value", value, (self._count,), "one per string")
-        if not self._actuation.is_whole:  # passive strings keep what they have
-            desired = strings_of(self._actuation, inputs_of(self._actuation, desired))
+        if not self.actuation.is_whole:  # passive strings keep what they have
+            desired = strings_of(self.actuation, inputs_of(self.actuation, desired))
         if self._input == "force_density":
             return validation.non_negative("command.value", desired, "a string can only pull")
         return validation.positive("command.value", desired, "rest length in m")
@@ -375,27 +372,16 @@ class Actuators:
                 f"faults has winch {stuck[0]} stuck from the start, but the value that it "
                 f"holds is not known then: {how} a time after the first sample"
             )
-        if not self._actuation.is_whole:
-            inputs = partial(inputs_of, self._actuation)
-            return strings_of(
-                self._actuation,
-                np.where(
-                    np.isin(
-                        np.arange(len(self._actuation.lead)), stuck_inputs(self._actuation, stuck)
-                    ),
-                    inputs(self._current),
-                    inputs(desired),
-                ),
-            )
-        moved = desired.copy()
-        moved[stuck] = self._current[stuck]
-        return moved
+        moved = inputs_of(self.actuation, desired).copy()
+        held = stuck_inputs(self.actuation, stuck)
+        moved[held] = inputs_of(self.actuation, self._current)[held]
+        return strings_of(self.actuation, moved)
 
     def motor_record(self) -> MotorRecord | None:
         """Return what the motors did up to now; None where there are none."""
         if self._motor is None:
             return None
-        model, error, close = self._plant_run.model, 0.0, 1e-6 * self._sample_time / self.ticks
+        model, error, close = self._plant_run.model, 0.0, 1e-6 * self.sample_time / self.ticks
         segments = DenseMotion.of_run(self._plant_run)
         count = len(segments.of)
         first, every = np.flatnonzero(np.diff(segments.of, prepend=-1)), np.arange(count)
@@ -422,7 +408,7 @@ class Actuators:
                 cut = self._plant_run.faults.without_cut(np.zeros(len(jump)), time + close) != 0
                 jump[cut, j] = 0.0
             work[:, first] += jump
-            act = self._actuation
+            act = self.actuation
             work = sums_by_input(act, self._to_strings("length", work.T).T)
             tensions = [self._to_strings("tension", force.T).T for force in forces]
             forces = [forces_on_inputs(act, tension) for tension in tensions]
@@ -432,7 +418,7 @@ class Actuators:
             ]
             start = turning[0].position[:, 0]
             if self.start is not None:
-                start = inputs_of(self._actuation, self.start)
+                start = inputs_of(self.actuation, self.start)
             drive = self._drive
             at_end = np.stack([drive.position, drive.now.speed, drive.reference])
         if self._earlier is not None:
@@ -447,16 +433,6 @@ class Actuators:
         """Whether what a motor winds depends on the motion: by inertia, or a torque that it met."""
         return self._motor is not None and bool(self._motor.inertia.any() or any(self._weak))
 
-    @property
-    def sample_time(self) -> float:
-        """Time between commands, s."""
-        return self._sample_time
-
-    @property
-    def winches(self) -> Winches | None:
-        """The winches of the inputs."""
-        return self._winches
-
     def _rest_length_error(self, segments: DenseMotion) -> float:
         """Estimate the error of rest lengths, m, that follows from few parts of a sample.
 
@@ -467,10 +443,10 @@ class Actuators:
         if drive is None or drive.ticks == 1 or len(segments.ends) == 1:
             return 0.0
         assert self._motor is not None  # asked for by the record of the motors
-        assert self._winches is not None  # of the drive
-        finer, end = self._new_drive(self._winches, finer=2), segments.ends[-1]
+        assert self.winches is not None  # of the drive
+        finer, end = self._new_drive(self.winches, finer=2), segments.ends[-1]
         reached, times = list[FloatArray](), list[float]()
-        tick, limited = self._sample_time / finer.ticks, np.isfinite(self._motor.torque).any()
+        tick, limited = self.sample_time / finer.ticks, np.isfinite(self._motor.torque).any()
 
         def pull(ends: list[FloatArray], rest_length: FloatArray, later: float) -> _Forces:
             return self.pulls(ends[later > 0], rest_length)

@@ -62,23 +62,18 @@ class ClosedLoop:
         validation.refuse_memory(
             f"sample_time is {sample:g} s", run.duration / sample, "samples", size
         )
-        self._actuators: Actuators | StrutDrives
+        self.actuators: Actuators | StrutDrives  # what applies the commands
         if controller.input in BAR_INPUTS:
             assert rest_length is not None  # what strings hold, or their γ
-            self._actuators = StrutDrives(run, controller, winches, rest_length, sample)
+            self.actuators = StrutDrives(run, controller, winches, rest_length, sample)
         else:
-            self._actuators = Actuators(run, controller, winches, rest_length, sample, start)
+            self.actuators = Actuators(run, controller, winches, rest_length, sample, start)
         self._estimation = estimation
         self._substeps = 1 if winches is None else winches.substeps
         self._observation: Observation | None = None
         self._samples: list[_Sample] = []
         # Of a subdivision, the nodes of its parent come first.
         self._seen = controller.structure.nodes.shape[1]
-
-    @property
-    def actuators(self) -> Actuators | StrutDrives:
-        """What applies the commands."""
-        return self._actuators
 
     def again(self) -> Callable[[PlantRun], ClosedLoop] | None:
         """Return what closes the loop of another run, with copies of controller and estimator.
@@ -101,7 +96,7 @@ class ClosedLoop:
     def _begin(self, state: FloatArray) -> None:
         """Let controller and estimator begin, or go on."""
         run, controller, start = self._run, self._controller, self._start
-        actuators = self._actuators
+        actuators = self.actuators
         if start is None:
             controller.begin(run.model, run.motion(state)[0][:, : self._seen])
         # A controller that goes on knows its previous input, unless there is none or it was lost.
@@ -123,7 +118,7 @@ class ClosedLoop:
     def run(self, state: FloatArray) -> None:
         """Run the plant under the controller, sample by sample."""
         self._begin(state)
-        run, controller, actuators = self._run, self._controller, self._actuators
+        run, controller, actuators = self._run, self._controller, self.actuators
         self._state = state
         for number, begin, end in samples(self._sample, run.duration, run.now):
             run.go_to(begin)
@@ -175,27 +170,27 @@ class ClosedLoop:
 
     def _follow(self, number: float, end: float) -> None:
         """Integrate to the end of a sample, tick by tick."""
-        run, ticks = self._run, self._actuators.ticks
+        run, ticks = self._run, self.actuators.ticks
         whole = end - run.now
         for i in range(1, ticks + 1):
-            u = self._actuators.tick(i, self._state, run.now)
+            u = self.actuators.tick(i, self._state, run.now)
             until_tick = (number + i / ticks) * self._sample
             span = (end if i == ticks else min(until_tick, end)) - run.now
             if span > 1e-9 * whole:  # not round-off
-                self._state = run.run(self._state, u, span, self._actuators.lengths)
+                self._state = run.run(self._state, u, span, self.actuators.lengths)
 
     def record(self) -> ControlRecord:
         """Return the record of the samples so far."""
         rest_length = None
         if self._run.input == "rest_length" or self._controller.input in BAR_INPUTS:
-            rest_length = self._actuators.start
+            rest_length = self.actuators.start
             if rest_length is None:
                 rest_length = self._samples[0].move.rest_length
         end, _ = self._run.motion(self._state)
         return _control_record(
             self._samples, rest_length, self._sample, self._observation,
-            self._actuators.motor_record(), self._controller, self._run.now, end[:, : self._seen],
-            self._actuators.actuation,
+            self.actuators.motor_record(), self._controller, self._run.now, end[:, : self._seen],
+            self.actuators.actuation,
         )  # fmt: skip
 
 

@@ -31,23 +31,19 @@ class MovingSupports:
 
         self.displacement = displacement
         structure = model.structure
-        self._mass = kron(node_mass(structure), eye_array(structure.dimension)).tocsr()
-
-    @property
-    def mass(self) -> Any:
-        """Mass matrix of all nodes, node by node, sparse, kg."""
-        return self._mass
+        #: Mass matrix of all nodes, node by node, sparse, kg.
+        self.mass = kron(node_mass(structure), eye_array(structure.dimension)).tocsr()
 
     def inputs(self, load: FloatArray | Pieces) -> Pieces:
         """Return the load less M Ë, N, and E below it."""
         if not isinstance(load, Pieces):
             load = Pieces.constant(load.ravel(order="F"))
-        inertia = self.displacement.derivative(2).mapped(-self._mass)
+        inertia = self.displacement.derivative(2).mapped(-self.mass)
         return Pieces.stacked([Pieces.added([load, inertia]), self.displacement])
 
     def force(self, acceleration: FloatArray) -> FloatArray:
         """Return the force that gives the nodes an acceleration, N; of a jump, the impulse."""
-        return np.asarray(self._mass @ acceleration)
+        return np.asarray(self.mass @ acceleration)
 
 
 def support_offset(model: Model, value: object, start: float, end: float) -> Pieces | None:
