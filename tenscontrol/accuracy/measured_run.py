@@ -15,11 +15,11 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
 from tenscontrol.accuracy.open_loop import fastest_rate
-from tenscontrol.accuracy.peers.peer import Peer, steps_between
+from tenscontrol.accuracy.peers.peer import Peer
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.equation import pack_state, unpack_states
 from tenscontrol.dynamics.evaluator import Function, builds, evaluate_columns
-from tenscontrol.integrate.integrator import Work
+from tenscontrol.integrate.integrator import Work, steps_between
 from tenscontrol.integrate.methods import METHODS, Method
 from tenscontrol.interrupt import check, interruptible
 from tenscontrol.short_repr import short_repr

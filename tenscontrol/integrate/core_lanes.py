@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +15,11 @@ from tenscontrol.core.records import GROUND_NUMBERS, pointers
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.model_parameters import MASSES, ground_numbers
+from tenscontrol.fields import changed
 from tenscontrol.integrate.core_run import settings_of
 from tenscontrol.integrate.core_scene import CoreScene, numbers_of_grounds
 from tenscontrol.integrate.dop853 import STEP_RULES, have_changed, steps_of, work_of
-from tenscontrol.integrate.fixed_step import not_finite
+from tenscontrol.integrate.fixed_step import not_finite, work_in_core
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     Span,
@@ -27,6 +28,7 @@ from tenscontrol.integrate.integrator import (
     first_vector,
     length_and_mass,
     speed_scale,
+    steps_between,
 )
 
 # Evaluations of a try, its interpolant and its landing, at most.
@@ -182,7 +184,7 @@ class FixedStepLanes(CoreLanes):
         settings = settings_of(self._method, duration, outputs, self._project, step=self._step)
         reached, progress = self._calls(runs, states, held).advance(settings, {}, stop)
         # The last step of a run that is stuck was no good one.
-        step = duration / (outputs * self._steps_between(duration, outputs))
+        step = self._length_of_steps(duration, outputs)
         steps = np.round(progress["time"] / step) - progress["stuck"]
         counts = np.stack([steps, *(progress[name] for name in self.counted[1:])], axis=1)
         reaches_end = np.asarray(np.isfinite(reached[:, -1]).all(axis=1))
@@ -190,28 +192,21 @@ class FixedStepLanes(CoreLanes):
 
     def work_of(self, counts: FloatArray) -> Work:
         """See :meth:`CoreLanes.work_of`."""
-        steps, tries, landings, switches, missed, carries, carried = (int(c) for c in counts)
-        return Work(
-            steps=steps + landings, evaluations=4 * tries + 2 * (landings + carries),
-            switches=switches, missed=missed, carried=carried,
-        )  # fmt: skip
+        by_name = dict(zip(self.counted, map(int, counts), strict=True))
+        steps = by_name.pop("steps")
+        return work_in_core(records.Progress(**by_name), steps)
 
-    def _steps_between(self, duration: float, outputs: int) -> int:
-        """Return the number of steps from one state that is kept to the next."""
-        return max(1, int(np.ceil(duration / outputs / self._step - 1e-9)))
+    def _length_of_steps(self, duration: float, outputs: int) -> float:
+        return duration / (outputs * steps_between(duration / outputs, self._step))
 
     def failure(self, time: float, duration: float, outputs: int) -> str:
         """Return why a run ended at a time."""
-        step = duration / (outputs * self._steps_between(duration, outputs))
+        step = self._length_of_steps(duration, outputs)
         return not_finite(round(time / step), step)
 
     def of_step(self, step: float) -> FixedStepLanes:
         """Return the same in other steps."""
-        return FixedStepLanes(self._scene, self._project, self._tables, step, self._method)
-
-    def of_run(self, run: int) -> RunLane:
-        """Return what integrates a single run by its number."""
-        return RunLane(self, run)
+        return changed(self, _step=step)
 
 
 class AdaptiveLanes(CoreLanes):
@@ -231,10 +226,6 @@ class AdaptiveLanes(CoreLanes):
         Of what moves, kg.
     limit : float
         Evaluations after which a run goes on no longer.
-    is_shortened : bool
-        Whether they are as after :meth:`DOP853.shorten`.
-    memory : optional
-        Of the spans before, where runs are advanced over several.
     """
 
     counted = (
@@ -245,12 +236,11 @@ class AdaptiveLanes(CoreLanes):
     def __init__(
         self, equation: Equation, scene: CoreScene, project: bool,
         tables: Mapping[str, FloatArray], tolerance: float, mass: FloatArray, limit: float,
-        is_shortened: bool = False, memory: _Memory | None = None,
     ) -> None:  # fmt: skip
         super().__init__(scene, project, tables)
-        self._memory = memory
         self._equation, self._tolerance, self._mass = equation, tolerance, mass
-        self._limit, self._is_shortened = limit, is_shortened
+        self._limit, self._is_shortened = limit, False
+        self._memory: _Memory | None = None  # of the spans before, where there are several
 
     def advance(
         self, runs: IntArray, states: FloatArray, held: FloatArray, duration: float, outputs: int,
@@ -299,17 +289,11 @@ class AdaptiveLanes(CoreLanes):
     def over_spans(self, first: int, last: int) -> AdaptiveLanes:
         """See :meth:`CoreLanes.over_spans`; as an integrator of their own, runs remember."""
         memory = _Memory(first, last - first, self._equation.layout.strings)
-        return AdaptiveLanes(
-            self._equation, self._scene, self._project, self._tables, self._tolerance, self._mass,
-            self._limit, self._is_shortened, memory,
-        )  # fmt: skip
+        return changed(self, _memory=memory)
 
     def of_tolerance(self, tolerance: float, is_shortened: bool) -> AdaptiveLanes:
-        """Return the same with another tolerance, and shorter first and longest steps or not."""
-        return AdaptiveLanes(
-            self._equation, self._scene, self._project, self._tables, tolerance, self._mass,
-            self._limit, is_shortened,
-        )  # fmt: skip
+        """Return the same with another tolerance, as after :meth:`DOP853.shorten` or not."""
+        return changed(self, _tolerance=tolerance, _is_shortened=is_shortened, _memory=None)
 
 
 class _Memory:
@@ -411,7 +395,7 @@ class _Calls:
 
 
 class RunLane:
-    """A single run of :class:`FixedStepLanes`."""
+    """A single run of :class:`FixedStepLanes`, by its number."""
 
     def __init__(self, lanes: FixedStepLanes, run: int) -> None:
         self._lanes, self._run = lanes, np.array([run])
@@ -420,10 +404,9 @@ class RunLane:
         """See :meth:`Integrator.shorten`: steps are fixed."""
 
     def advance(
-        self, state: FloatArray, held: FloatArray, duration: float, outputs: int,
-        report: Callable[[float], None] | None = None, /,
-    ) -> Span:  # fmt: skip
-        """See :meth:`Integrator.advance`; nothing is reported."""
+        self, state: FloatArray, held: FloatArray, duration: float, outputs: int, /
+    ) -> Span:
+        """See :meth:`Integrator.advance`."""
         lanes = self._lanes
         spans = lanes.advance(
             self._run, state[None], held[None], duration, outputs, ctypes.c_int(0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import partial
-from math import ceil
 from typing import Any, final
 
 import casadi as ca
@@ -34,6 +33,7 @@ from tenscontrol.integrate.integrator import (
     SpanInputs,
     Trace,
     Work,
+    steps_between,
 )
 from tenscontrol.integrate.projection import projected
 from tenscontrol.interrupt import check
@@ -203,8 +203,7 @@ class FixedStep(Integrator):
         outputs : int
             States kept within it.
         """
-        # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
-        return max(1, ceil(duration / outputs / self.step - 1e-9))
+        return steps_between(duration / outputs, self.step)
 
     def work_of(self, steps: int, counts: FloatArray) -> Work:
         """Return the work of some steps.
@@ -252,7 +251,7 @@ class RK4(FixedStep):
         motion = CoreMotion(scene, state, held, settings)
 
         def work(progress: Progress) -> Work:
-            return _work_in_core(progress, round(progress.time / step))
+            return work_in_core(progress, round(progress.time / step))
 
         def failure(motion: CoreMotion) -> IntegrationError:
             good = round(motion.progress.time / step) - 1
@@ -275,7 +274,7 @@ class RK4(FixedStep):
                 return AdvancedSpans()  # of some the ends of steps are kept, of some not
         return spans_in_core(
             self._core, state, given, settings,
-            lambda counts, done: _work_in_core(counts, int(total[:done].sum())),
+            lambda counts, done: work_in_core(counts, int(total[:done].sum())),
         )  # fmt: skip
 
     def step_function(self, equation: Equation) -> ca.Function:
@@ -305,7 +304,7 @@ class PlainRK4(RK4):
     locates = False
 
 
-def _work_in_core(progress: Progress, steps: int) -> Work:
+def work_in_core(progress: Progress, steps: int) -> Work:
     """Return the work of RK4 in the core, in so many steps and those that switches cut off."""
     return Work(
         steps=steps + progress.landings,

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import ceil
 from typing import NamedTuple, TypeVar
 
 import casadi as ca
@@ -276,6 +277,14 @@ def next_size(most: int, size: int, taken: float) -> int:
     if taken > _LONGEST_CALL:
         return max(size // 8, 1)
     return min(8 * most, 4096) if taken < _LONGEST_CALL / 16 else most
+
+
+def steps_between(spacing: float, step: float) -> int:
+    """Return how many steps, shortened to fit, there are between outputs.
+
+    The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
+    """
+    return max(1, ceil(spacing / step - 1e-9))
 
 
 def where_needed(function: ca.Function) -> ca.Function:

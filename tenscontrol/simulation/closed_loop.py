@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from math import ceil
 from time import perf_counter
 
 import numpy as np
@@ -23,6 +22,7 @@ from tenscontrol.control.mpc.linear import MPCStatistics
 from tenscontrol.control.mpc.nonlinear import NMPCStatistics
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.integrate.integrator import steps_between
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.actuators import Actuators
 from tenscontrol.simulation.arguments import Arguments
@@ -216,7 +216,7 @@ def samples(
         first = now / sample
     # The allowance keeps round-off from adding a last sample of no length, and from making one that
     # is whole longer or shorter than it is in a run that goes on.
-    for k in range(max(1, ceil(duration / sample - 1e-9))):
+    for k in range(steps_between(duration, sample)):
         start = (first + k) * sample
         cut = now + duration - start < (1 - 1e-9) * sample
         yield first + k, start, now + duration if cut else start + sample

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from tenscontrol.arrays import FloatArray, IntArray
-from tenscontrol.integrate.integrator import IntegrationError, Span
+from tenscontrol.integrate.integrator import IntegrationError, Span, steps_between
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.plant_run import PlantRun
 from tenscontrol.simulation.strut_record import done_by_drives, drive_work, impulse_work
@@ -96,19 +96,14 @@ class Stage:
         twice as long show what its quadrature errs.
         """
         least = 1 if self.work is None else 2
-        every = min(self.outputs, max(least, round(factor / _steps(self.spacing, step))))
+        every = min(self.outputs, max(least, round(factor / steps_between(self.spacing, step))))
         whole, rest = divmod(self.outputs, every)
         return [(whole, every), *([(1, rest)] if rest else [])]
 
     def steps(self, step: float, factor: float) -> int:
         """Return how many steps these are."""
         strides = self.strides(step, factor)
-        return sum(k * _steps(every * self.spacing, factor * step) for k, every in strides)
-
-
-def _steps(time: float, step: float) -> int:
-    """Return how many steps a method with a fixed step takes over a time."""
-    return max(1, ceil(time / step - 1e-9))
+        return sum(k * steps_between(every * self.spacing, factor * step) for k, every in strides)
 
 
 def _joined(parts: Sequence[FloatArray]) -> FloatArray:
@@ -372,7 +367,8 @@ class Motion:
     @property
     def _step(self) -> float:
         """The longest step that was taken, s: outputs may lie closer than that asked for."""
-        return max(stage.spacing / _steps(stage.spacing, self.value) for stage in self.stages)
+        spacings = [stage.spacing for stage in self.stages]
+        return max(spacing / steps_between(spacing, self.value) for spacing in spacings)
 
     def _strides(self, stage: Stage, factor: float) -> list[tuple[int, int]]:
         if self.setting == "step":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import ceil
 from typing import NamedTuple
 from weakref import ref
 
@@ -33,6 +32,7 @@ from tenscontrol.integrate.integrator import (
     SpanInputs,
     StepEnds,
     Work,
+    steps_between,
 )
 from tenscontrol.integrate.methods import METHODS, Choice, choose
 from tenscontrol.integrate.watched import Watched
@@ -339,10 +339,6 @@ class PlantRun:
                 before = polynomial_at(rows, np.array([starts[k + 1] - origin]), 1)[:, 0]
         return len(starts)
 
-    def _outputs(self, duration: float) -> int:
-        """Return how many states are kept in so long a span."""
-        return max(1, ceil(duration / self.output_step - 1e-9))
-
     def _release(self, state: FloatArray, time: float) -> None:
         """Count the energy that strings store which are cut at a time."""
         if not self.spans:
@@ -379,7 +375,7 @@ class PlantRun:
             self.spans.append(
                 RunSpan(first, state[:, None], state, origin, coefficients, self.lost_energy)
             )
-        outputs = self._outputs(duration)
+        outputs = steps_between(duration, self.output_step)
 
         def add(span: Span) -> None:
             times = start + duration * np.arange(1, span.states.shape[1] + 1) / outputs

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field
-from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from tenscontrol.arrays import FloatArray
 from tenscontrol.dynamics.profile import Pieces
 from tenscontrol.fields import changed
+from tenscontrol.integrate.integrator import steps_between
 from tenscontrol.simulation.plant_run import PlantRun
 
 # Parts of a part, in which its steps are counted.
@@ -96,9 +96,9 @@ class TracedRun(PlantRun):
             if begin > cuts[-1]:
                 wanted = begin
             elif self.integration.step is not None:
-                unit = length / self._outputs(length)
+                unit = length / steps_between(length, self.output_step)
                 if unit == length:
-                    unit /= ceil(length / self.integration.step - 1e-9)
+                    unit /= steps_between(length, self.integration.step)
                 units = (np.array([cuts[-1], wanted]) - begin) / unit
                 wanted = begin + max(round(units[1]), round(units[0]) + 1) * unit
             if wanted > (1 - 1e-9) * duration:

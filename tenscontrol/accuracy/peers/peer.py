@@ -5,12 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray
+from tenscontrol.integrate.integrator import steps_between
 from tenscontrol.short_repr import short_repr
 from tenscontrol.simulation.scene import Scene
 
@@ -103,11 +103,6 @@ class Peer(ABC):
         callable
             ``() -> Solution`` at these times.
         """
-
-
-def steps_between(spacing: float, step: float) -> int:
-    """Return how many steps, shortened to fit, there are between outputs; round-off allowed for."""
-    return max(1, ceil(spacing / step - 1e-9))
 
 
 def spaced(times: FloatArray, step: float) -> tuple[float, int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import ceil
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from tenscontrol.dynamics.model_parameters import (
     with_parameters,
 )
 from tenscontrol.dynamics.profile import Pieces
+from tenscontrol.integrate.integrator import steps_between
 from tenscontrol.properties import cached_property
 from tenscontrol.simulation.batch.compiled_loop import checked_controller
 from tenscontrol.simulation.closed_loop import samples
@@ -338,7 +338,7 @@ class BatchInputs:
         spans = []
 
         def outputs_of(length: float) -> int:
-            return 1 if output_step is None else max(1, ceil(length / output_step - 1e-9))
+            return 1 if output_step is None else steps_between(length, output_step)
 
         if sample_time is not None:
             if pieces.degree or pieces.breaks(close, self.duration - close):

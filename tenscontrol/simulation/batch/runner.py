@@ -30,6 +30,7 @@ from tenscontrol.integrate.core_lanes import (
     AdaptiveLanes,
     CoreLanes,
     FixedStepLanes,
+    RunLane,
     have_tables,
     tables_of_runs,
 )
@@ -760,7 +761,7 @@ class Runner:
     def _resolved(self, run: int, value: float) -> Resolved:
         """Return what integrates a run with another step or tolerance."""
         if isinstance(self._lanes, FixedStepLanes):
-            return self._lanes.of_step(value).of_run(run)
+            return RunLane(self._lanes.of_step(value), run)
         return self._made_for(run, value)
 
     def _function(self, run: int, model: Model, name: str) -> tuple[ca.Function, list[FloatArray]]:
