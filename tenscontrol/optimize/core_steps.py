@@ -84,6 +84,7 @@ class CoreSteps:
         #: Whether it puts bars on their lengths after steps, too.
         self.projects = steps.projects and not model.structure.blocks
         self._lengths = scene.lengths_at if self.projects else None
+        self._works: dict[int, FloatArray] = {}
         self._width = columns[-1].stop if columns else 0
         self._padded = -(-max(self._width, 1) // records.COLUMNS) * records.COLUMNS
         self._answers = answers
@@ -133,10 +134,6 @@ class CoreSteps:
         costs, derivatives = self._record(1)
         costs.by_values = records.address(self._by_values)
         return costs, derivatives
-
-    @cached_property
-    def _works(self) -> dict[int, FloatArray]:
-        return {}
 
     def _work(self, columns: int) -> FloatArray:
         """Return work memory for so many columns."""

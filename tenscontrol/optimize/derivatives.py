@@ -65,7 +65,9 @@ class Slopes:
 
     def of(self, some: slice | int) -> Slopes:
         """Return those at some of the states, or at one."""
-        chosen = {name: None if by is None else by[some] for name, by in vars(self).items()}
+        chosen: dict[str, Any] = {
+            name: None if by is None else by[some] for name, by in vars(self).items()
+        }
         return Slopes(**chosen)
 
 

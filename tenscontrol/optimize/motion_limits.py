@@ -182,7 +182,13 @@ class MotionLimits:
     def rows(self, now: Instant) -> Rows:
         """Return what holds at an instant."""
         state = self.state(now)
-        rows = [*self._string_rows(state), *self._motor_rows(state)]
+        rows = [
+            *self._string_rows(state),
+            _at_most(state.power, self.power, POWER),
+            # Of cables under force control.
+            _at_most(state.rate, self._length_rate, "rate"),
+            _at_most(-state.rate, self._length_rate, "rate"),
+        ]
         if now.force is not None:  # whose limits are those of the input of the program
             low, high = self.input_range / self._size
             rows.append(Rows(now.input / self._size, low, high, ("range",) * len(low)))
@@ -251,14 +257,6 @@ class MotionLimits:
         tension = state.force_density * state.length
         rows.append(_at_most(tension, self.tension, "max_tension"))
         return rows
-
-    def _motor_rows(self, state: StringState) -> list[Rows]:
-        """Return limits of power and, of cables under force control, speed."""
-        return [
-            _at_most(state.power, self.power, POWER),
-            _at_most(state.rate, self._length_rate, "rate"),
-            _at_most(-state.rate, self._length_rate, "rate"),
-        ]
 
 
 def _least_by_winch(actuation: Actuation, values: FloatArray) -> FloatArray:

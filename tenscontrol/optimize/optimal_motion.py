@@ -47,6 +47,7 @@ from tenscontrol.shape.held_strings import HeldStrings, held_strings
 from tenscontrol.shape.shape_path import path_end, refuse_same
 from tenscontrol.shape.target import ShapeTarget, shape_target
 from tenscontrol.simulation.health import HealthLimits
+from tenscontrol.simulation.motion_functions import by_node
 from tenscontrol.simulation.simulate import simulate
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.statics.prestress import Prestress
@@ -663,7 +664,7 @@ class _Planner:
             rate_limit=limits.rate,
             ends=ends,
             duration=self._duration,
-            power=self._power if self._minimize == "energy" else None,
+            power=(lambda now: limits.state(now).power) if self._minimize == "energy" else None,
             size=self._size,
             time=self._time,
             unit=self._size if ends is not None else limits.level,
@@ -681,9 +682,6 @@ class _Planner:
             return self._time * float(np.sum(np.square(self._usual())))
         sizes = {"time": self._time, "energy": self._watt() * self._time}
         return sizes.get(self._minimize, 1.0) if isinstance(self._minimize, str) else 1.0
-
-    def _power(self, now: Instant) -> Any:
-        return self._limits.state(now).power
 
     def _cost_rate(self, now: Instant) -> Any:
         """Return what an instant costs in a second."""
@@ -882,8 +880,8 @@ class _Planner:
     ) -> FloatArray:
         law = self._model.strings
         assert law is not None  # the rest length is the input
-        motion, states = self._model.of_all_nodes("string_motion"), _all_states(nodes, velocities)
-        lengths, rates = evaluate_columns(motion, states)
+        motion = self._model.of_all_nodes("string_motion")
+        lengths, rates = evaluate_columns(motion, np.vstack([by_node(nodes), by_node(velocities)]))
         pairs = zip(lengths.T, np.maximum(rest_length, 0.0).T, rates.T, strict=True)
         return np.column_stack([law.force_density(*instant) for instant in pairs])
 
@@ -896,7 +894,7 @@ def _figures(
     if run is None:
         return dict.fromkeys(("least_force_density", "peak_tension", "energy"), np.nan)
     model = run.model
-    states = _all_states(run.nodes, run.velocities)
+    states = np.vstack([by_node(run.nodes), by_node(run.velocities)])
     lengths, rates = evaluate_columns(model.of_all_nodes("string_motion"), states)
     tension = run.force_density * lengths
     power = -tension * rates
@@ -916,13 +914,6 @@ def _figures(
         "peak_tension": float(tension.max()),
         "energy": float(trapezoid(np.maximum(by_winch, 0.0), run.time, axis=1).sum()),
     }
-
-
-def _all_states(nodes: FloatArray, velocities: FloatArray) -> FloatArray:
-    """Return columns of all nodes and velocities, node by node, shape (2 d n, T)."""
-    return np.concatenate(
-        [array.reshape(-1, array.shape[2], order="F") for array in (nodes, velocities)]
-    )
 
 
 def _with_inputs(

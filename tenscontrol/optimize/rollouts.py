@@ -110,11 +110,6 @@ class Rollouts:
                     labels += [f"start {quantity}{which} {k}" for k in range(basis.shape[1])]
         return labels
 
-    @property
-    def _differing(self) -> list[str]:
-        """Parameters by which fitted models differ from the one that is given."""
-        return [unknown.name for unknown in self.unknowns if not unknown.is_beside]
-
     def own(self, theta: FloatArray) -> list[FloatArray]:
         """Return the unknowns of each parameter."""
         return np.split(theta, self.ends)[: len(self.unknowns)]
@@ -124,7 +119,8 @@ class Rollouts:
         key = theta.tobytes()
         if self._last is None or self._last[0] != key:
             fitted = fitted_model(self.model, self.unknowns, self.own(theta))
-            self._last = key, fitted.sharing(self.model, self._differing)
+            differing = [unknown.name for unknown in self.unknowns if not unknown.is_beside]
+            self._last = key, fitted.sharing(self.model, differing)
         return self._last[1]
 
     def readings(self, theta: FloatArray, share: float, slopes: bool) -> Readings:

@@ -370,13 +370,7 @@ class Stepper:
         step : float
             s.
         """
-        return Stepper(**self._given | {"step": step, "parameters": self._now_given})
-
-    @property
-    def _now_given(self) -> dict[str, FloatArray] | None:
-        """Parameters as they are now."""
-        own = self.parameters
-        return own or None
+        return Stepper(**self._given | {"step": step, "parameters": self.parameters or None})
 
     def turn(self, robots: Any, angles: Any) -> None:
         """Turn robots about the vertical through the mean of their nodes.
@@ -558,7 +552,7 @@ class Stepper:
         self._is_any_lost = bool(self._lost.any())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made_again, (self._given | {"parameters": self._now_given}, self.state)
+        return _made_again, (self._given | {"parameters": self.parameters or None}, self.state)
 
     def __repr__(self) -> str:
         robots = f"{self._count} robots" if self._shape else "one robot"

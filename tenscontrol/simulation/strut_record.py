@@ -179,7 +179,7 @@ def _bar_forces(
     bars: tuple[FloatArray, FloatArray, FloatArray],
 ) -> FloatArray:  # fmt: skip
     """Return λ at the times kept, N/m, shape (β, T)."""
-    load = run.all_values(run.load_rows) if run.loads_given else _column(_constant_load(run))
+    load = run.all_values(run.load_rows) if run.loads_given else _constant_load(run)
     offset = None
     if run.supports is not None:
         offset = run.all_values(run.offset_rows), run.all_values(run.offset_rows, 1)
@@ -210,25 +210,15 @@ def drive_work(
         time, x = dense.at(np.tile(SHARES, len(some)), k)
         strings, bars = (dense.values(rows, time, k) for rows in (run.string_rows, run.length_rows))
         load = dense.values(run.load_rows, time, k)[0]
-        load = load if run.loads_given else _column(_constant_load(run))
+        load = load if run.loads_given else _constant_load(run)
         position, rate, _ = dense.values(run.offset_rows, time, k)
         offset = None if run.supports is None else (position, rate)
-        power = _powers(run, x, strings[0], load, bars, offset)
-        power = power.reshape(len(work), len(some), shares)
+        nodes, velocities = np.split(x, 2)
+        moved, held = (bars[0], bars[1], bars[2]), (run.input, strings[0])
+        density = driven_bar_forces(run.model, nodes, velocities, held, load, moved, offset)
+        power = (density * bars[0] * bars[1]).reshape(len(work), len(some), shares)
         work[:, some] = power @ WEIGHTS * np.diff(times)[some]
     return work[:, :0], work
-
-
-def _powers(
-    run: PlantRun, x: FloatArray, held: FloatArray, load: FloatArray, bars: FloatArray,
-    offset: tuple[FloatArray, FloatArray] | None,
-) -> FloatArray:  # fmt: skip
-    """Return the power of each drive, W, shape (β, T), in states of all nodes."""
-    nodes, velocities = np.split(x, 2)
-    length, rate, acceleration = bars
-    moved, inputs = (length, rate, acceleration), (run.input, held)
-    density = driven_bar_forces(run.model, nodes, velocities, inputs, load, moved, offset)
-    return np.asarray(density * length * rate)
 
 
 def impulse_work(run: PlantRun, i: int, state: FloatArray) -> FloatArray:
@@ -258,10 +248,6 @@ def impulse_work(run: PlantRun, i: int, state: FloatArray) -> FloatArray:
 
 
 def _constant_load(run: PlantRun) -> FloatArray:
-    """Return the load of a run in which it does not change, (d, n), N."""
+    """Return the load of a run in which it does not change, node by node, (d n, 1), N."""
     assert not isinstance(run.load, Pieces)  # else it is an input
-    return run.load
-
-
-def _column(load: FloatArray) -> FloatArray:
-    return load.ravel(order="F")[:, None]
+    return run.load.ravel(order="F")[:, None]
