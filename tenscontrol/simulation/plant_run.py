@@ -467,9 +467,7 @@ class PlantRun:
         inputs = Pieces.constant(held)
         if self._given is not None:
             inputs = Pieces.stacked([inputs, self._given])
-        origin, coefficients = inputs.piece(self.now)
-        more = self.degree + 1 - coefficients.shape[1]
-        coefficients = np.pad(coefficients, ((0, 0), (0, more)))
+        origin, coefficients = inputs.with_degree(self.degree).piece(self.now)
         coefficients = self.faults.without_cut(coefficients, self.now)
         u = self.packed(coefficients, self.now - origin)
         structure = self.model.structure
