@@ -15,7 +15,7 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.dynamics.contact_laws import ContactLaw
-from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.equation import Equation, unpack_states
 from tenscontrol.dynamics.evaluator import Function, SharedEvaluator
 from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.short_repr import short_repr
@@ -573,15 +573,10 @@ def contact_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
     structure, force, contacts = equation.structure, equation.force, equation.contacts
     if structure is None or force is None or contacts is None:
         return 0.0
-    rows = structure.free_rows
-    nodes, velocities, forces = (
-        structure.nodes.ravel(order="F") * factor for factor in (1.0, 0, 0)
-    )
-    nodes[rows], velocities[rows] = np.split(state, 2)
-    forces[rows] = np.array(force(*np.split(state, 2), held, _strings_alone(equation))).ravel()
-    d = structure.dimension
-    N, V, F = (array.reshape(-1, d).T for array in (nodes, velocities, forces))
-    load = float(np.linalg.norm(F.sum(axis=1)))
+    N, V = (array[:, :, 0] for array in unpack_states(structure, state[:, None]))
+    forces, (q, v) = np.zeros(N.size), np.split(state, 2)
+    forces[structure.free_rows] = np.array(force(q, v, held, _strings_alone(equation))).ravel()
+    load = float(np.linalg.norm(forces.reshape(-1, structure.dimension).T.sum(axis=1)))
     # The end of a bar in the middle of which nothing holds it has ¾ of its entry in the mass.
     mass = 0.75 * node_mass(structure).diagonal()
     total = float(mass.sum())
