@@ -10,9 +10,8 @@ import numpy as np
 
 from tenscontrol.arrays import FloatArray
 from tenscontrol.core import records
-from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.model import Model
-from tenscontrol.integrate.core_scene import CoreScene, core_scene
+from tenscontrol.integrate.core_scene import CoreScene
 from tenscontrol.optimize.derivatives import Switches
 from tenscontrol.optimize.parameters import Parameter, load_of_gravity, shares, unit_load
 from tenscontrol.optimize.traced_steps import TracedSteps
@@ -31,23 +30,6 @@ class Tableau(NamedTuple):
     a: FloatArray
     b: FloatArray
     c: FloatArray
-
-
-def core_steps(
-    model: Model,
-    equation: Equation,
-    steps: TracedSteps,
-    method: Tableau,
-    parameters: Sequence[Parameter],
-    columns: Sequence[slice],
-    answers: bool,
-    switches: Switches,
-) -> CoreSteps | None:
-    """Return the steps of a run as the core differentiates them; None where there is none."""
-    scene = core_scene(equation)
-    if scene is None:
-        return None
-    return CoreSteps(scene, model, steps, method, parameters, columns, answers, switches)
 
 
 class CoreSteps:

@@ -44,6 +44,9 @@ class ImplicitSteps:
         Which columns of a derivative are those of each parameter.
     """
 
+    #: How many steps a call may take at most.
+    most = 1
+
     def __init__(
         self, steps: TracedSteps, derivatives: Derivatives, parameters: Sequence[Parameter],
         columns: Sequence[slice],
@@ -59,11 +62,6 @@ class ImplicitSteps:
     def reached(self, k: int, length: float) -> FloatArray:
         """Return the state after so much of a step."""
         return self._solver.end(self._steps, k, length)[1]
-
-    @property
-    def most(self) -> int:
-        """How many steps a call may take at most."""
-        return 1
 
     def forward(
         self, k: int, _: int, part: float | None, X: FloatArray, answer: FloatArray | None

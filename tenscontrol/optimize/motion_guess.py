@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -77,12 +78,8 @@ def _of_path(path: ShapePath, input: str, duration: float) -> DiscreteMotion:
     assert values is not None  # a rest length is the input
     at = np.linspace(0.0, duration, _INTERVALS + 1)
     inputs = np.array([np.interp(at, time, row) for row in values])
-    stages = ((np.arange(_INTERVALS)[:, None] + gauss_points(STAGES)[1:]) / _INTERVALS) * duration
     rates = spline.derivative()
-    return DiscreteMotion(
-        duration, spline(at), rates(at), inputs[:, :-1], inputs[:, 1:],
-        spline(stages).swapaxes(1, 2), rates(stages).swapaxes(1, 2),
-    )  # fmt: skip
+    return _guess(spline, duration, spline(at), rates(at), inputs)
 
 
 def _straight(
@@ -107,10 +104,17 @@ def _straight(
     spline = CubicHermiteSpline(time, places, velocities, axis=1)
     values = [end_input(model, rest, input) for rest in ends]
     inputs = values[0][:, None] + smooth * (values[1] - values[0])[:, None]
+    return _guess(spline, duration, places, velocities, inputs)
+
+
+def _guess(
+    spline: Any, duration: float, places: FloatArray, velocities: FloatArray, inputs: FloatArray
+) -> DiscreteMotion:
+    """Return a motion by what it is at the ends of intervals, and a spline of its places."""
     stages = ((np.arange(_INTERVALS)[:, None] + gauss_points(STAGES)[1:]) / _INTERVALS) * duration
     return DiscreteMotion(
         duration, places, velocities, inputs[:, :-1], inputs[:, 1:],
-        spline(stages).swapaxes(1, 2), spline.derivative()(stages).swapaxes(1, 2),
+        *(curve(stages).swapaxes(1, 2) for curve in (spline, spline.derivative())),
     )  # fmt: skip
 
 

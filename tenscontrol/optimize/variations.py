@@ -12,9 +12,10 @@ import numpy as np
 from tenscontrol import validation
 from tenscontrol.arrays import FloatArray, IntArray
 from tenscontrol.integrate import dop853_coefficients as order8
+from tenscontrol.integrate.core_scene import core_scene
 from tenscontrol.interrupt import check
 from tenscontrol.optimize.bar_changes import BarChanges
-from tenscontrol.optimize.core_steps import CoreSteps, Tableau, core_steps
+from tenscontrol.optimize.core_steps import CoreSteps, Tableau
 from tenscontrol.optimize.derivatives import Derivatives, Slopes, Switches, sources
 from tenscontrol.optimize.implicit_steps import ImplicitSteps
 from tenscontrol.optimize.parameters import Parameter, shares
@@ -387,13 +388,14 @@ class Variations:
         derivatives = self.derivatives
         if self.steps.method == IMPLICIT:
             return ImplicitSteps(self.steps, derivatives, self.parameters, self.columns)
-        layout = self.steps.layout
-        answers = self.answers
-        if layout.offset or layout.lengths or (answers is not None and answers.degree):
+        layout, answers = self.steps.layout, self.answers
+        core = core_scene(derivatives.equation)
+        is_polynomial = answers is not None and answers.degree
+        if core is None or layout.offset or layout.lengths or is_polynomial:
             return None
-        return core_steps(
-            derivatives.model, derivatives.equation, self.steps, self._tableau, self.parameters,
-            self.columns, answers is not None, self.switches,
+        return CoreSteps(
+            core, derivatives.model, self.steps, self._tableau, self.parameters, self.columns,
+            answers is not None, self.switches,
         )  # fmt: skip
 
     def _forward(self, X: FloatArray, leg: _Leg, answer: FloatArray | None) -> FloatArray:
