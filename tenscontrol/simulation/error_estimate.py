@@ -410,7 +410,7 @@ class Motion:
             else:
                 of_nodes = np.add.reduceat(squares, first, axis=-2)
             apart = np.sqrt(of_nodes.max(axis=-2))
-        return np.where(np.isfinite(apart), apart / self._size, np.inf)
+        return np.where(np.isfinite(apart), apart / self.structure.size, np.inf)
 
     @cached_property
     def _first_of_nodes(self) -> IntArray:
@@ -418,10 +418,6 @@ class Motion:
         node = self.structure.free_rows[self.rows] // self.structure.dimension
         first: IntArray = np.flatnonzero(np.diff(node, prepend=-1))
         return first
-
-    @property
-    def _size(self) -> float:
-        return self.structure.size
 
 
 def estimated_errors(

@@ -179,13 +179,9 @@ def strength(run: Trajectory, sections: Sections) -> Strength:
 def refuse_other_members(structure: Structure, sections: Sections) -> None:
     """Raise where sections are not of the members of a structure."""
     for name in ("strings", "bars"):
-        own, given = (_pairs(source, name) for source in (structure, sections.structure))
+        own, given = (getattr(source, name) for source in (structure, sections.structure))
         if not np.array_equal(own, given):
             raise ValueError(
                 f"sections are of other {name} than the run: {len(given)} against {len(own)}; "
                 "simulate sections.structure, or make sections of run.structure"
             )
-
-
-def _pairs(structure: object, name: str) -> IntArray:
-    return np.asarray(getattr(structure, name))

@@ -78,7 +78,8 @@ def checked_variation(scene: Scene, vary: object) -> dict[str, FloatArray]:
         for name, value in vary.items()
     }
     if "gravity" in given and np.ndim(vary["gravity"]) == 1:
-        given["gravity"] = np.outer(vary["gravity"], _down(scene.structure.dimension))
+        down = np.append(np.zeros(scene.structure.dimension - 1), -1.0)
+        given["gravity"] = np.outer(vary["gravity"], down)
     if not given:
         raise ValueError(
             "vary is empty, so all runs are the same: give what differs by name, one entry a run"
@@ -130,10 +131,6 @@ def _axes(value: Any) -> int:
     except ValueError:
         return -1
     return axes if isinstance(axes, int) else 0  # what is no array may have any ``ndim``
-
-
-def _down(dimension: int) -> FloatArray:
-    return np.append(np.zeros(dimension - 1), -1.0)
 
 
 class BatchInputs:
