@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field, fields
 from functools import cache
 from importlib import import_module
+from itertools import compress
+from operator import is_not
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -63,7 +65,10 @@ def check_fields(record: Any, but: frozenset[str] = frozenset()) -> None:
     """Check the fields of a frozen record in their order, and keep read-only arrays."""
     kind: Any = type(record)
     values = record.__dict__
-    for name, check, details, takes_none in _declared(kind, but):
+    names, passing, declared = _declared(kind, but)
+    for name, check, details, takes_none in compress(
+        declared, map(is_not, map(values.__getitem__, names), passing)
+    ):
         given = value = values[name]
         if given is None and takes_none:
             continue
@@ -82,13 +87,34 @@ def changed(record: _Record, **values: Any) -> _Record:
     return copy
 
 
+_Declared = tuple[str, Callable[..., object] | None, Any, bool]
+
+
 @cache
 def _declared(
     kind: Any, but: frozenset[str]
-) -> tuple[tuple[str, Callable[..., object] | None, Any, bool], ...]:
-    """Return the fields of a class but for some, with their checks, and whether None passes."""
-    named = [(one.name, one.metadata) for one in fields(kind) if one.name not in but]
-    return tuple(
-        (name, how.get("check"), how.get("details", ()), "check" not in how or "optional" in how)
-        for name, how in named
-    )
+) -> tuple[tuple[str, ...], tuple[object, ...], tuple[_Declared, ...]]:
+    """Return the fields of a class but for some: names, what passes as it is, and checks.
+
+    With each check goes whether None passes. A default needs no look where its check returns it.
+    """
+    wanted = [one for one in fields(kind) if one.name not in but]
+    declared = tuple(
+        (
+            one.name, one.metadata.get("check"), one.metadata.get("details", ()),
+            "check" not in one.metadata or "optional" in one.metadata,
+        )
+        for one in wanted
+    )  # fmt: skip
+    pairs = zip(declared, (one.default for one in wanted), strict=True)
+    passing = tuple(default if _passes(*how, default) else MISSING for how, default in pairs)
+    return tuple(one.name for one in wanted), passing, declared
+
+
+def _passes(
+    name: str, check: Callable[..., object] | None, details: Any, takes_none: bool, default: object
+) -> bool:
+    """Return whether a default passes the check of its field as it is."""
+    if default is None or default is MISSING or isinstance(default, np.ndarray):
+        return default is None and takes_none
+    return check is None or check(name, default, *details) is default

@@ -17,6 +17,7 @@ from tenscontrol.arrays import ArrayRecord, FloatArray, IntArray
 
 # Squares and fourth powers must stay within double precision.
 LARGEST = 1e70
+_LEAST, _LARGEST_SQUARE = 1 / LARGEST, LARGEST**2
 
 # Relative size of what counts as round-off in a weight matrix: of its asymmetry, which products of
 # matrices and Riccati equations leave, and of an eigenvalue below zero.
@@ -82,7 +83,7 @@ def is_bounded(array: FloatArray) -> bool:
     """Return whether all entries are finite numbers, and none is too large."""
     # As a rule the squares of few numbers tell, in a third of the time; of many, BLAS would start
     # threads. What is not a number makes all of it false.
-    if array.size <= _FEW and np.vdot(array, array) <= LARGEST**2:
+    if array.size <= _FEW and np.vdot(array, array) <= _LARGEST_SQUARE:
         return True
     least = np.minimum.reduce(array, axis=None, initial=0.0)
     return bool(least >= -LARGEST and np.maximum.reduce(array, axis=None, initial=0.0) <= LARGEST)
@@ -307,7 +308,7 @@ def non_negative(name: str, array: FloatArray, why: str) -> FloatArray:
 
 def positive_number(name: str, value: object, unit: str, most: float = LARGEST) -> float:
     """Return a positive finite number of at most ``most``."""
-    if type(value) is float and 1 / LARGEST <= value <= most:  # most are
+    if type(value) is float and _LEAST <= value <= most:  # as a rule
         return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]

@@ -187,10 +187,11 @@ METHODS: Mapping[str, Method] = MappingProxyType({method.name: method for method
 
 def method_of(method: object) -> Method | None:
     """Return a method by its name, or as it is given; None for ``"auto"``."""
+    if type(method) is str and method == "auto":
+        return None
     if isinstance(method, Method):
         return method
-    name = validation.choice("method", method, ("auto", *METHODS))
-    return METHODS.get(name)
+    return METHODS.get(validation.choice("method", method, ("auto", *METHODS)))
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from functools import partial
+from operator import is_
 from typing import TYPE_CHECKING, Any
 from weakref import ref
 
@@ -223,9 +224,8 @@ class Scene:
         if before is None or type(before) is not type(self):
             return False
         own, known = vars(self), vars(before)
-        for name in _FOUND_FROM:
-            if own[name] is not known[name]:
-                return False
+        if not all(map(is_, *(map(of.__getitem__, _FOUND_FROM) for of in (own, known)))):
+            return False
         check_fields(self, _FOUND_FROM)
         beside = {name: own[name] for name in _BESIDE}
         own.update(known)
