@@ -41,6 +41,9 @@ _MAKING, _MAKING_A_STATE = 1e5, 8e2
 # Another method goes on where it gets so many times as far as the one at work.
 _BETTER = 1.5
 
+# What a method may come to: the end of a span, or what ended it before.
+_Outcome = Span | IntegrationPause | IntegrationError | IntegrationInterrupt
+
 # Times closer than this part of the time between outputs are the same.
 _SAME = 1e-9
 
@@ -132,22 +135,37 @@ class Watched(Integrator):
         outputs = validation.whole_number("outputs", outputs, 1)
         if self._is_over:
             return self._again(state, held, duration, outputs, report)
+        self._is_over = True  # if nothing else is said below
+        outcome: _Outcome | None = None
+        try:
+            if self._spent < self._budget:  # as a rule the method at work gets to the end
+                within, given = self._budget - self._spent, (state, held, duration, outputs)
+                outcome = self._outcome(self._at_work, within, *given, report)
+                if isinstance(outcome, Span):
+                    self._pass(duration)
+                    return outcome
+        except KeyboardInterrupt:  # of what is told of the time
+            raise IntegrationInterrupt(0.0, _Motion(0.0, state, state).span()) from None
         span = _Given(held, duration, outputs, self._equation.layout, report)
         motion = _Motion(0.0, state, state)
-        self._is_over = True  # if nothing else is said below
         try:
             while motion.time < duration:
-                if self._spent < self._budget:
-                    self._go_on(span, motion)
+                if outcome is not None or self._spent < self._budget:
+                    self._go_on(span, motion, outcome)
+                    outcome = None
                 else:
                     self._review(span, motion)
         except IntegrationInterrupt:
             raise
         except KeyboardInterrupt:  # of what is told of the time
             raise IntegrationInterrupt(motion.time, motion.span()) from None
-        self._now += duration
-        self._is_over = self._now >= self._end - _SAME * duration
+        self._pass(duration)
         return motion.span()
+
+    def _pass(self, duration: float, last: float | None = None) -> None:
+        """Count a time as gone through, s, of which the last span may be a part."""
+        self._now += duration
+        self._is_over = self._now >= self._end - _SAME * (duration if last is None else last)
 
     def _again(
         self, state: FloatArray, held: FloatArray, duration: float, outputs: int,
@@ -183,14 +201,13 @@ class Watched(Integrator):
         if spans.whole:
             durations = given.duration[: len(spans.whole)]
             self._spent += cost * spans.work.evaluations
-            self._now += float(durations.sum())
-            self._is_over = self._now >= self._end - _SAME * float(durations[-1])
+            self._pass(float(durations.sum()), float(durations[-1]))
         return spans
 
-    def _go_on(self, span: _Given, motion: _Motion) -> None:
-        """Go on by the method at work, up to its budget."""
+    def _go_on(self, span: _Given, motion: _Motion, outcome: _Outcome | None = None) -> None:
+        """Go on by the method at work, up to its budget, from what it has come to, if it has."""
         budget = self._budget - self._spent
-        ahead, ended = self._leg(self._at_work, span, motion, budget, span.report)
+        ahead, ended = self._leg(self._at_work, span, motion, budget, span.report, outcome)
         motion.append(ahead)
         if isinstance(ended, IntegrationInterrupt):
             raise IntegrationInterrupt(ended.time, motion.span())
@@ -207,33 +224,50 @@ class Watched(Integrator):
             self._made[name] = method, method.cost
         return self._made[name]
 
-    def _leg(
-        self, name: str, span: _Given, start: _Motion, budget: float, report: Report | None
-    ) -> tuple[_Motion, IntegrationError | IntegrationInterrupt | None]:
-        """Return the motion from a place on, by a method within a budget, and what ended it."""
+    def _outcome(
+        self, name: str, budget: float, state: FloatArray, held: FloatArray, duration: float,
+        outputs: int, report: Report | None,
+    ) -> _Outcome:  # fmt: skip
+        """Return what a method comes to within a budget: the end of a span, or what ended it."""
         method, cost = self._method(name)
+        method.limit = evaluations_within(budget, cost)
+        outcome: _Outcome
+        try:
+            outcome = method.advance(state, held, duration, outputs, report)
+            self._spent += cost * outcome.work.evaluations
+        except (IntegrationPause, IntegrationError, IntegrationInterrupt) as ended:
+            outcome = ended
+            self._spent += cost * ended.span.work.evaluations
+        return outcome
+
+    def _leg(
+        self, name: str, span: _Given, start: _Motion, budget: float, report: Report | None,
+        outcome: _Outcome | None = None,
+    ) -> tuple[_Motion, IntegrationError | IntegrationInterrupt | None]:  # fmt: skip
+        """Return the motion from a place on, by a method within a budget, and what ended it.
+
+        ``outcome`` is what it has come to from there, if it has begun.
+        """
         ahead = _Motion(start.time, start.state, start.begin, start.done)
         before = self._spent
         while ahead.time < span.duration:
-            method.limit = evaluations_within(budget - (self._spent - before), cost)
             origin = ahead.time
-            later_report = report if report is None or not origin else _later(report, origin)
-            rest = span.rest(ahead)
-            try:
-                advanced = method.advance(ahead.state, span.inputs(origin), *rest, later_report)
-            except IntegrationPause as pause:
-                self._spent += cost * pause.span.work.evaluations
-                ahead.take(pause.span, span)
-                ahead.time, ahead.state = origin + pause.time, pause.state
+            if outcome is None:
+                later_report = report if report is None or not origin else _later(report, origin)
+                within = budget - (self._spent - before)
+                given = ahead.state, span.inputs(origin), *span.rest(ahead)
+                outcome = self._outcome(name, within, *given, later_report)
+            if isinstance(outcome, IntegrationPause):
+                ahead.take(outcome.span, span)
+                ahead.time, ahead.state = origin + outcome.time, outcome.state
                 span.settle(ahead)
                 return ahead, None
-            except (IntegrationError, IntegrationInterrupt) as error:
-                self._spent += cost * error.span.work.evaluations
-                ahead.take(error.span, span)
-                error.time += origin
-                return ahead, error
-            self._spent += cost * advanced.work.evaluations
-            ahead.take(advanced, span)
+            if not isinstance(outcome, Span):
+                ahead.take(outcome.span, span)
+                outcome.time += origin
+                return ahead, outcome
+            ahead.take(outcome, span)
+            outcome = None
         return ahead, None
 
     def _review(self, span: _Given, motion: _Motion) -> None:
