@@ -231,6 +231,16 @@ class Model:
         """Weights and built-in load on the nodes, N, shape (d, n), all nodes."""
         return self._constant_force
 
+    @cached_property
+    def is_loaded(self) -> bool:
+        """Whether there is any weight or built-in load; not for users."""
+        return bool(self._constant_force.any())
+
+    @cached_property
+    def is_pulled_down(self) -> bool:
+        """Whether weights and built-in load pull down in all; not for users."""
+        return float(self._constant_force[-1].sum()) < 0
+
     @property
     def gravity(self) -> FloatArray:
         """Acceleration of free fall, m/s², shape (d,); zero if none was given."""

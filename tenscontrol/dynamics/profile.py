@@ -222,7 +222,8 @@ class Pieces:
 
     def breaks(self, start: float, end: float) -> list[float]:
         """Return where pieces begin after ``start`` and before ``end``, s."""
-        return [float(t) for t in self.start[1:] if start < t < end]
+        later = self.start[1:] if len(self.start) > 1 else ()
+        return [float(t) for t in later if start < t < end]
 
     def within(self, start: float, end: float) -> Pieces:
         """Return the pieces that matter from a time to another."""

@@ -92,10 +92,6 @@ def advance_in_core(
         Told the time reached.
     """
     progress, budget = motion.progress, max(_FIRST, _FIRST_NUMBERS // (len(motion.state) + 1))
-
-    def span() -> Span:
-        return reached(motion, work_of(progress))
-
     try:
         while True:
             check()
@@ -107,12 +103,14 @@ def advance_in_core(
             if report is not None:
                 report(progress.time)
             if is_over:
-                return span()
+                return reached(motion, work_of(progress))
             if motion.is_paused:
-                raise IntegrationPause(progress.time, motion.state, span())
+                so_far = reached(motion, work_of(progress))
+                raise IntegrationPause(progress.time, motion.state, so_far)
             budget = int(min(max(budget * _LONGEST / (taken + 1e-9), 1), 8 * budget, _MOST_STEPS))
     except KeyboardInterrupt:
-        raise IntegrationInterrupt(progress.time, span()) from None
+        so_far = reached(motion, work_of(progress))
+        raise IntegrationInterrupt(progress.time, so_far) from None
 
 
 def spans_in_core(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from ctypes import byref, c_void_p
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
@@ -105,6 +106,10 @@ class CoreScene:
             independent = [block.independent for block in structure.blocks]
             self._put("block_bar", np.concatenate([np.zeros(0, dtype=int), *independent]))
         self.work_size = core.tc_motion_work_size(self.at, byref(self.drive(np.zeros(0))))
+        # In the memory of a motion: the state, what pulls, its slope, what a step may err, work.
+        sizes = self.states, self.switches, self.states, self.states, self.work_size
+        ends = list(accumulate(sizes))
+        self.memory_size, self.places = ends[-1], [8 * end for end in (0, *ends[:-1])]
 
     # ---- tables ----
 
@@ -394,24 +399,22 @@ class CoreMotion:
         rules: records.Spans | None = None,
     ) -> None:  # fmt: skip
         self._scene, self._u, self._settings = scene, u, settings
-        states, switches, room = len(state), scene.switches, settings.room
+        states, room = len(state), settings.room
         self._states = np.empty((states, settings.outputs + 1))
         self._states[:, 0] = state
         # Ends of steps that are kept: of the call at work, and of those before.
-        shapes = (room, (room, states), (room, switches)) if room else ()
+        shapes = (room, (room, states), (room, scene.switches)) if room else ()
         self._steps, self._traced = list(map(np.empty, shapes)), list[list[FloatArray]]()
         # All parts of steps are to be kept where they are traced.
         self._most_steps = room // _PARTS if settings.traces else _MOST_STEPS
         self.done, self.is_over = 0, False
         self.progress = records.Progress(every=1)
-        # The state, what pulls, its slope, what a step may err, and the memory of the core.
-        memory = np.empty(3 * states + switches + scene.work_size)
+        memory = np.empty(scene.memory_size)
         self.state = memory[:states]
         self.state[:] = state
-        first, ends = records.address(memory), states + switches
+        first = records.address(memory)
         state_at, taut_at, slope_at, scale_at, work_at = [
-            c_void_p(first + memory.itemsize * place)
-            for place in (0, states, ends, states + ends, 2 * states + ends)
+            c_void_p(first + place) for place in scene.places
         ]
         given, how = (scene.at, byref(scene.drive(u))), byref(settings)
         if rules is None:
@@ -420,10 +423,10 @@ class CoreMotion:
             start = byref(rules), how, state_at, taut_at, slope_at, scale_at, work_at
             scene.core.tc_start(*given, *start)
         self.progress.step, self._progress_at = settings.step, byref(self.progress)
-        kept = pointers(self._states, *self._steps) + [None] * (0 if room else 3)
+        kept = pointers(*self._steps) if room else (None, None, None)
         self._arguments = (
-            *given, scene.lengths_at, how, self._progress_at, state_at, slope_at, taut_at, *kept,
-            work_at,
+            *given, scene.lengths_at, how, self._progress_at, state_at, slope_at, taut_at,
+            *pointers(self._states), *kept, work_at,
         )  # fmt: skip
 
     @property

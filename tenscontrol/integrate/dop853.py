@@ -203,8 +203,9 @@ class DOP853(Integrator):
             self._frequency = largest_frequency(self._equation, state, held)
             self._held = of_strings.copy()
         if self._core is not None:
-            settings = self._settings(duration, outputs)
-            motion = CoreMotion(self._core, state, held, settings, self._rules())
+            own = self._own
+            settings = self._settings(duration, outputs, own)
+            motion = CoreMotion(self._core, state, held, settings, self._rules(own))
             span = advance_in_core(motion, work_of, _core_failure, report)
             if not (validation.is_bounded(motion.whole) or np.isfinite(span.states).all()):
                 good = np.isfinite(span.states).all(axis=0)
@@ -232,25 +233,24 @@ class DOP853(Integrator):
         count = int(np.append(have_changed(of_strings, self._held), True).argmax())
         if not count:
             return AdvancedSpans()
-        return spans_in_core(
-            self._core, state, given.first(count), self._settings(0.0, 0), work_of, self._rules()
-        )
+        own = self._own
+        settings, rules = self._settings(0.0, 0, own), self._rules(own)
+        return spans_in_core(self._core, state, given.first(count), settings, work_of, rules)
 
-    def _settings(self, duration: float, outputs: int) -> Settings:
+    def _settings(self, duration: float, outputs: int, own: StepRules) -> Settings:
         """Return the settings of a span in the core."""
         room = room_for(self._equation.states) if self.keeps_steps or self.traces else 0
         return settings_of(
             "dop853", duration, outputs, self._project, limit=self.limit, room=room,
-            traces=self.traces, within=self._own.within,
+            traces=self.traces, within=own.within,
         )  # fmt: skip
 
-    def _rules(self) -> Spans:
+    def _rules(self, own: StepRules) -> Spans:
         """Return by what the core finds steps, and what they may err."""
-        rules = self._own
         length, mass = length_and_mass(self._equation)
         return Spans(
             tolerance=self.tolerance, length=length, mass=mass, frequency=self._frequency,
-            first=rules.first, whole=rules.whole, stable=rules.stable,
+            first=own.first, whole=own.whole, stable=own.stable,
         )  # fmt: skip
 
     def _advance(self, span: _Given, now: _Motion, report: Report | None) -> Span:
@@ -462,24 +462,14 @@ def have_changed(of_strings: FloatArray, before: FloatArray) -> np.ndarray:
 
 def work_of(counts: _Motion | Progress, spans: int = 1) -> Work:
     """Return the work of a motion over so many spans by the counts of either loop."""
-    carries, carried, short = (
-        (counts.carries, counts.carried, counts.short_tries)
-        if isinstance(counts, Progress)
-        else (0, 0, 0)
-    )  # switches are carried in the core alone
-    return Work(
-        steps=counts.tries - counts.rejections,
-        rejections=counts.rejections,
-        evaluations=spans  # each begins with one
-        # A landing takes a new start.
-        + _STAGES * (counts.tries + counts.approaches - short)
-        + _SHORT_STAGES * short
-        + counts.landings
-        + carries
-        + _MORE_STAGES * counts.interpolants,
-        switches=counts.switches,
-        carried=carried,
-    )
+    tries, rejections, more, carried = counts.tries, counts.rejections, 0, 0
+    if isinstance(counts, Progress):  # switches are carried in the core alone
+        more = (_SHORT_STAGES - _STAGES) * counts.short_tries + counts.carries
+        carried = counts.carried
+    # Each span begins with an evaluation, and a landing takes a new start.
+    evaluations = spans + counts.landings + _STAGES * (tries + counts.approaches)
+    evaluations += _MORE_STAGES * counts.interpolants + more
+    return Work(tries - rejections, rejections, evaluations, counts.switches, carried=carried)
 
 
 def _stuck(time: float, step: float, reached: Span) -> IntegrationError:

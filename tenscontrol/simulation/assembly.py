@@ -71,13 +71,13 @@ def assembled(
         conserves_energy=control is None and not run.moves and forces.conserves_energy,
         conserves_momentum=free
         and forces.conserves_momentum
-        and not (load is not None and (load is run.load or load.any())),
+        and (load is None or (load is not run.load and not load.any())),
         control=control,
         stopped=stopped,
         error=None if errors is None else frozen(errors[0]),
         error_limit=limits.position_error or ERROR_LIMIT,
         released_energy=read_only(released),
-        falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,
+        falls=free and contacts is None and model.is_pulled_down,
         contacts=contacts,
         struts=struts,
         faults=run.faults.listed,
@@ -104,6 +104,8 @@ def _load(run: PlantRun) -> FloatArray | None:
         return np.asarray(run.all_values(run.load_rows) + inertia)
     if isinstance(run.load, Pieces):
         return run.all_values(run.load_rows)
+    if run.load is run.model.constant_force:  # as a rule
+        return run.load if run.model.is_loaded else None
     return run.load if run.load.any() else None
 
 

@@ -197,6 +197,8 @@ class Faults:
             validation.instance(f"faults[{i}]", fault, Fault, how)
         self.listed: tuple[Fault, ...] = tuple(faults)
         self._cuts = [fault for fault in faults if isinstance(fault, CutString)]
+        #: Whether strings are cut.
+        self.cuts = bool(self._cuts)
         self._stuck = [fault for fault in faults if isinstance(fault, StuckWinch)]
         self._lost = [fault for fault in faults if isinstance(fault, LostMeasurement)]
         self._slack = 0.0 if input == "force_density" else _SLACK * size
@@ -215,11 +217,6 @@ class Faults:
             if isinstance(fault, StuckWinch):
                 _refuse_index(i, fault.string, winches, "strings of the controller")
 
-    @property
-    def cuts(self) -> bool:
-        """Whether strings are cut."""
-        return bool(self._cuts)
-
     def cut_times(self, start: float, end: float) -> list[float]:
         """Return when strings are cut after ``start`` and before ``end``, ascending, s."""
         return sorted({cut.time for cut in self._cuts if start < cut.time < end})
@@ -229,7 +226,7 @@ class Faults:
 
         Or coefficients of polynomials, one row a quantity, those of the strings first.
         """
-        cut = [fault.string for fault in self._cuts if fault.time <= time]
+        cut = [fault.string for fault in self._cuts if fault.time <= time] if self.cuts else ()
         if not cut:
             return held
         left = held.copy()

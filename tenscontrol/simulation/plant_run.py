@@ -341,8 +341,6 @@ class PlantRun:
 
     def _release(self, state: FloatArray, time: float) -> None:
         """Count the energy that strings store which are cut at a time."""
-        if not self.spans:
-            return
         before = self.spans[-1].values(self.string_rows)[:, -1]
         after = self.faults.without_cut(before, time)
         if np.array_equal(before, after):
@@ -358,12 +356,14 @@ class PlantRun:
         self, state: FloatArray, inputs: Pieces, duration: float, close: float
     ) -> FloatArray:
         """Integrate with the strings that are not cut by now, up to what is close."""
-        self._release(state, self.now + close)
-        origin, coefficients = inputs.piece(self.now + close)
+        soon = self.now + close
+        if self.spans:
+            self._release(state, soon)
+        origin, coefficients = inputs.piece(soon)
         more = self.degree + 1 - coefficients.shape[1]
-        coefficients = self.faults.without_cut(
-            np.pad(coefficients, ((0, 0), (0, more))) if more else coefficients, self.now + close
-        )
+        if more:
+            coefficients = np.pad(coefficients, ((0, 0), (0, more)))
+        coefficients = self.faults.without_cut(coefficients, soon)
         held = self.packed(coefficients, self.now - origin)
         jump = None
         if self.supports is not None or self.bars is not None:

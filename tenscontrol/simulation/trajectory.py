@@ -324,9 +324,9 @@ class Trajectory(Viewable):
             # Near rest hardly any energy is kinetic: a millionth of all is then the measure.
             energy = _share(kept.change, max(kept.kinetic, 1e-6 * kept.energy))
         changes: dict[str, float | None] = {}
-        parts = ("momentum", "angular_momentum")
+        parts = ("momentum", "angular_momentum") if self.conserves_momentum else ()
         for i, quantity in enumerate(parts):
-            if self.conserves_momentum and f"{quantity}_change" in names:
+            if f"{quantity}_change" in names:
                 values, largest = getattr(self, quantity), self._largest_momenta()[i]
                 off = float(np.abs(values - values[:, :1]).max())
                 changes[f"{quantity}_change"] = _share(off, largest)
@@ -389,7 +389,7 @@ class Trajectory(Viewable):
         if not self.falls:
             return None
         height = self.nodes[-1, :, -1]
-        fall = -float(height.sum()) / len(height) / self.structure.size
+        fall = -float(np.add.reduce(height)) / len(height) / self.structure.size
         return fall if fall > 1 else None
 
     def _largest_momenta(self) -> tuple[float, float]:
