@@ -253,16 +253,25 @@ class Derivatives:
         slopes = ca.substitute(slopes, ca.vertcat(*symbols), values)
         return Function("by_laws", [x, u, taut], [ca.densify(ca.vec(slopes))])
 
+    @property
+    def no_switches(self) -> Switches:
+        """What switches where nothing does."""
+        layout, states = self.equation.layout, self.equation.states
+
+        def build() -> Switches:
+            none, nothing = np.zeros(0, dtype=int), np.zeros(0)
+            no_states, no_inputs, no_offsets = (
+                np.zeros((0, size)) for size in (states, layout.strings, layout.offset)
+            )
+            return Switches(none, none, no_states, no_inputs, no_offsets, nothing, no_states)
+
+        key = "no switches", layout.strings, layout.offset
+        return self._model.prepared.get(key, build)
+
     def at_switches(
         self, x: FloatArray, u: FloatArray, before: FloatArray, step: IntArray, which: IntArray
     ) -> Switches:
         """Return what switches at the ends of steps, one a column, where ``before`` has pulled."""
-        if not len(step):
-            layout, nothing = self.equation.layout, np.zeros(0)
-            no_states, no_inputs, no_offsets = (
-                np.zeros((0, size)) for size in (len(x), layout.strings, layout.offset)
-            )
-            return Switches(step, which, no_states, no_inputs, no_offsets, nothing, no_states)
         after, count = before.copy(), len(step)
         own = which, np.arange(count)
         after[own] = 1 - before[own]

@@ -71,36 +71,43 @@ def parameters_of(scene: Scene, to: object) -> tuple[Parameter, ...]:
     if not len(to):
         raise ValueError(f"to is empty, expected some of {sorted(known)}")
     names = [validation.choice(f"to[{i}]", name, known) for i, name in enumerate(to)]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
+    if len(set(names)) < len(names):
+        twice = {name for name in names if names.count(name) > 1}
         raise ValueError(f"to names {sorted(twice)} twice, expected each once")
-    return tuple(known[name] for name in names)
+    return tuple([known[name] for name in names])
 
 
 def known_parameters(scene: Scene) -> dict[str, Parameter]:
     """Return all that a run of a scene can be differentiated by."""
     model = scene.model
-    shape = model.structure.nodes.shape
-    parameters = [Parameter("nodes", "nodes", shape), Parameter("velocities", "velocities", shape)]
-    if len(model.structure.strings):
-        parameters.append(_input(scene))
-    key = "parameters", scene.input == "rest_length"
-    parameters += model.prepared.get(key, partial(_of_model, model, key[1]))
+    known = model.prepared.get(("parameters", scene.input), partial(_of_model, model, scene.input))
+    held = scene.input in known and scene.law is None
+    if held and not isinstance(getattr(scene, scene.input), Profile):
+        known = known.copy()
+    else:
+        known = known | ({scene.input: _input(scene)} if scene.input in known else {})
+    parameters = list[Parameter]()
     if scene.supports is not None and not callable(scene.support_motion):
         parameters.append(_of_supports(scene))
     if scene.bars is not None and not scene.bars.is_commanded and not callable(scene.bar_length):
         parameters.append(_of_bars(scene))
-    parameters += _of_motors(scene)
-    if scene.law is not None and isinstance(scene.law, LQR):
-        parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
-    return {parameter.name: parameter for parameter in parameters}
+    if scene.law is not None:
+        parameters += _of_motors(scene)
+        if isinstance(scene.law, LQR):
+            parameters.append(Parameter("gain", "gain", scene.law.gain.shape))
+    return known | {parameter.name: parameter for parameter in parameters} if parameters else known
 
 
-def _of_model(model: Model, has_rest_lengths: bool) -> list[Parameter]:
-    """Return what the equation of motion depends on beside the input."""
+def _of_model(model: Model, input: str) -> dict[str, Parameter]:
+    """Return what a motion of a model depends on under an input that is held."""
     d, n = shape = model.structure.nodes.shape
     parameters, count = list[Parameter](), len(model.structure.strings)
-    if has_rest_lengths:
+    parameters += [
+        Parameter("nodes", "nodes", shape), Parameter("velocities", "velocities", shape)
+    ]  # fmt: skip
+    if count:
+        parameters.append(Parameter(input, "input", (count,)))
+    if input == "rest_length":
         parameters += [
             Parameter(name, "strings", (count,), field=name) for name in law_parameters(model)
         ]
@@ -114,7 +121,7 @@ def _of_model(model: Model, has_rest_lengths: bool) -> list[Parameter]:
         Parameter(name, "ground", (), law=law, field=number)
         for name, (law, number) in ground_numbers(model).items()
     ]
-    return parameters
+    return {parameter.name: parameter for parameter in parameters}
 
 
 def sample_times(scene: Scene) -> FloatArray:

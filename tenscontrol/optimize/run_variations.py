@@ -87,10 +87,12 @@ class RunVariations:
         run.expected, run.take = expected, self._take
         self._states: list[FloatArray] = []  # at the times; of the last part when asked for
         self._ends, self._slow = list[int](), list[tuple[float, float]]()  # times and rates
-        self._speed, self.switches = 0.0, 0
+        self._fastest, self.switches = 0.0, 0  # velocity, m/s, where something switches
         self._last: tuple[int, Variations] | None = None
         loop = trace(scene, run)
         run.take = None
+        if self._slow and self._last is not None:
+            self._see_speed(self._last[1])
         actuators = None if loop is None else loop.actuators
         if isinstance(actuators, Actuators) and (of_motors or actuators.follows_motion):
             self._refuse_beside_motors(actuators)
@@ -119,7 +121,7 @@ class RunVariations:
     @property
     def grazing(self) -> tuple[float, ...]:
         """Times of switches that are passed slowly, s."""
-        return tuple(time for time, rate in self._slow if rate < _GRAZING * self._speed)
+        return tuple([time for time, rate in self._slow if rate < _GRAZING * self._fastest])
 
     def motion(self) -> FloatArray:
         """Return the states at the times, shape (states, T)."""
@@ -179,6 +181,8 @@ class RunVariations:
         From those of x at the times, shape (T, states, P).
         """
         structure, half = self._scene.structure, self.derivatives.half
+        if not len(structure.fixed_rows):
+            return sensitivities[:, :half], sensitivities[:, half:]
         count, _, width = sensitivities.shape
         whole = np.zeros((2, count, structure.nodes.size, width))
         whole[:, :, structure.free_rows] = sensitivities[:, :half], sensitivities[:, half:]
@@ -216,6 +220,7 @@ class RunVariations:
         """Look at a part of the run, and keep the last."""
         if self._last is not None:
             self._states.append(self._last[1].motion())
+            self._see_speed(self._last[1])
             self._last = None  # or there were two at a time
         variations = self._variations(run, len(self._ends))
         switches, steps = variations.switches, variations.steps
@@ -223,8 +228,13 @@ class RunVariations:
             self.switches += len(switches.step)
             ends = (steps.begin + steps.length)[switches.step]
             self._slow += zip(ends.tolist(), np.abs(switches.rate).tolist(), strict=True)
-        self._speed = max(self._speed, float(np.abs(steps.states[len(steps.states) // 2 :]).max()))
         self._last = len(self._ends) - 1, variations
+
+    def _see_speed(self, part: Variations) -> None:
+        """Take note of the largest velocity of a free coordinate in a part."""
+        states = part.steps.states
+        fastest = float(np.abs(states[len(states) // 2 :]).max())
+        self._fastest = max(self._fastest, fastest)
 
     def _part(self, i: int) -> Variations:
         """Return the derivative of a part; the last one again if it is that."""

@@ -238,6 +238,8 @@ class Variations:
         """What switched, and what that changes."""
         steps = self.steps
         of, which = steps.switched
+        if not len(of):
+            return self.derivatives.no_switches
         ends = self._ends[:, of], self._end_inputs[:, of], steps.taut[:, of]
         return self.derivatives.at_switches(*ends, of, which)
 
