@@ -47,6 +47,10 @@ _CLEARLY = 3.0
 _SATURATED = 0.05
 
 
+# Behind the last output.
+_NO_OUTPUT = np.array([-1])
+
+
 class Resolved(Protocol):
     """What integrates a span at a step or tolerance; see :class:`Integrator`."""
 
@@ -111,10 +115,23 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
 
+def _is_among(outputs: IntArray, some: IntArray) -> np.ndarray:
+    """Return which outputs are among some, both ascending."""
+    ended = np.concatenate((some, _NO_OUTPUT))
+    return np.asarray(ended[some.searchsorted(outputs)] == outputs)
+
+
 def _common(one: IntArray, other: IntArray) -> IntArray:
     """Return the outputs that are among both, ascending."""
-    among: IntArray = other[np.append(one, -1)[np.searchsorted(one, other)] == other]
+    among: IntArray = other[_is_among(other, one)]
     return among
+
+
+def _first_of_each(values: IntArray) -> IntArray:
+    """Return where equal values that follow on one another begin."""
+    is_first = np.ones(len(values), dtype=bool)
+    np.not_equal(values[1:], values[:-1], out=is_first[1:])
+    return is_first.nonzero()[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,12 +159,12 @@ class Path:
         """Return the positions at outputs that are among its own."""
         if len(columns) == len(self.columns):
             return self.positions
-        return self.positions[..., np.searchsorted(self.columns, columns)]
+        return self.positions[..., self.columns.searchsorted(columns)]
 
     def work_at(self, columns: IntArray) -> FloatArray:
         """Return the work at outputs that are among its own, of no bars where none is driven."""
         work = np.zeros((0, len(self.columns))) if self.work is None else self.work
-        return work[:, np.searchsorted(self.columns, columns)]
+        return work[:, self.columns.searchsorted(columns)]
 
 
 def no_loop() -> None:
@@ -243,7 +260,7 @@ class Motion:
         time = _joined(times)[self.path.columns]
         window = np.minimum((time / ends[-1] * _WINDOWS).astype(int), _WINDOWS - 1)
         largest = np.zeros((len(error), _WINDOWS + 1))
-        first = np.flatnonzero(np.diff(window, prepend=-1))
+        first = _first_of_each(window)
         largest[:, window[first] + 1] = np.maximum.reduceat(error, first, axis=1)
         least: FloatArray = np.maximum(error, largest[:, window])
         return least
@@ -391,33 +408,36 @@ class Motion:
             off = np.vstack([off, work])
         if len(columns) == len(self.path.columns):
             return off
-        least, most = np.zeros((len(off), 1)), np.full((len(off), 1), np.inf)
-        off = np.hstack([least, off, most])
+        beside = np.zeros((len(off), len(columns) + 2))
+        beside[:, 1:-1], beside[:, -1] = off, np.inf
         kept = self.path.columns
-        after = np.searchsorted(columns, kept)
-        is_met = np.append(columns, -1)[after] == kept
-        return np.maximum(off[:, after + 1], np.where(is_met, 0.0, off[:, after]))
+        before = columns.searchsorted(kept)
+        earlier = np.where(_is_among(kept, columns), 0.0, beside[:, before])
+        return np.maximum(beside[:, before + 1], earlier)
 
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Return the largest distance of a node between positions, as part of the size."""
         with np.errstate(over="ignore", invalid="ignore"):
             apart = one - other
             squares = np.square(apart, out=apart)
-            first, d = self._first_of_nodes, self.structure.dimension
-            if len(self.rows) == d * len(first):  # in an eighth of the time of the other
-                shape = *squares.shape[:-2], len(first), d, squares.shape[-1]
-                of_nodes = squares.reshape(shape).sum(axis=-2)
+            d, n = self.structure.nodes.shape
+            is_whole = len(self.rows) == d * n
+            if not is_whole:
+                first = self._first_of_nodes
+                n, is_whole = len(first), len(self.rows) == d * len(first)
+            if is_whole:  # in an eighth of the time of the other
+                shape = *squares.shape[:-2], n, d, squares.shape[-1]
+                of_nodes = np.add.reduce(squares.reshape(shape), axis=-2)
             else:
                 of_nodes = np.add.reduceat(squares, first, axis=-2)
-            apart = np.sqrt(of_nodes.max(axis=-2))
+            apart = np.sqrt(np.maximum.reduce(of_nodes, axis=-2))
         return np.where(np.isfinite(apart), apart / self.structure.size, np.inf)
 
     @cached_property
     def _first_of_nodes(self) -> IntArray:
         """Place of the first coordinate of each node among those that were kept."""
         node = self.structure.free_rows[self.rows] // self.structure.dimension
-        first: IntArray = np.flatnonzero(np.diff(node, prepend=-1))
-        return first
+        return _first_of_each(node)
 
 
 def estimated_errors(

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from tenscontrol.arrays import FloatArray, IntArray
+from tenscontrol.arrays import FloatArray, IntArray, frozen
 from tenscontrol.core import records
 from tenscontrol.core.library import library
 from tenscontrol.core.records import pointers
@@ -67,6 +67,9 @@ class _Pairs:
         ends = np.ascontiguousarray(bars[pairs].reshape(-1, 4), dtype=np.int32)
         return cls(pairs, ends, np.unique(ends))
 
+
+# Places of no bars.
+_NOWHERE = frozen(np.zeros(0, dtype=int))
 
 # Pairs of bars that may cross, by structure.
 _PAIRS: WeakKeyDictionary[Structure, _Pairs] = WeakKeyDictionary()
@@ -299,8 +302,7 @@ class _Intervals:
                 *motions, begin, length, len(ends), at[0], c_double(_FASTER), c_int64(room), *at[1:]
             )
             if not count:  # as a rule
-                none = np.zeros(0, dtype=int)
-                return none, none, speed
+                return _NOWHERE, _NOWHERE, speed
             if count <= room:
                 p, k = near[:count].T.astype(int)
                 return p, k, self._strays(speed)
