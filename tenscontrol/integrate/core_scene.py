@@ -404,7 +404,8 @@ class CoreMotion:
         self._states[:, 0] = state
         # Ends of steps that are kept: of the call at work, and of those before.
         shapes = (room, (room, states), (room, scene.switches)) if room else ()
-        self._steps, self._traced = list(map(np.empty, shapes)), list[list[FloatArray]]()
+        self._steps = list(map(np.empty, shapes))
+        self._traced: list[list[FloatArray]] = []
         # All parts of steps are to be kept where they are traced.
         self._most_steps = room // _PARTS if settings.traces else _MOST_STEPS
         self.done, self.is_over = 0, False

@@ -33,6 +33,9 @@ _LONGEST_CALL = 0.2
 
 FloatOrArray = float | FloatArray
 
+# The last frequency with the state and the input for which it was found.
+_Frequencies = dict[str, tuple[tuple[bytes, bytes], float]]
+
 # Told the time reached within the span, s.
 Report = Callable[[float], None]
 
@@ -469,7 +472,8 @@ def scale_under(
 
 def length_and_mass(equation: Equation) -> tuple[float, float]:
     """Return the length of the longest bar or straight piece of string, m, and what moves, kg."""
-    return equation.prepared.get("length and mass", partial(_length_and_mass, equation.structure))
+    structure = equation.structure
+    return equation.prepared.get("length and mass", lambda: _length_and_mass(structure))
 
 
 def speed_scale(
@@ -500,7 +504,7 @@ def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
     if equation.structure is None:
         return 0.0
     # A run asks for it several times at its start, and so does the next from there.
-    last = equation.prepared.get("last frequency", dict[str, tuple[tuple[bytes, bytes], float]])
+    last = equation.prepared.get("last frequency", _Frequencies)
     given = state.tobytes(), held.tobytes()
     known = last.get("known")
     if known is None or known[0] != given:

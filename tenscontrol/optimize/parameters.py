@@ -86,7 +86,7 @@ def known_parameters(scene: Scene) -> dict[str, Parameter]:
         known = known.copy()
     else:
         known = known | ({scene.input: _input(scene)} if scene.input in known else {})
-    parameters = list[Parameter]()
+    parameters: list[Parameter] = []
     if scene.supports is not None and not callable(scene.support_motion):
         parameters.append(_of_supports(scene))
     if scene.bars is not None and not scene.bars.is_commanded and not callable(scene.bar_length):

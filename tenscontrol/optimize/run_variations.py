@@ -86,7 +86,8 @@ class RunVariations:
         run.most = max(_MOST_BYTES / of_step, 256) if most is None else most
         run.expected, run.take = expected, self._take
         self._states: list[FloatArray] = []  # at the times; of the last part when asked for
-        self._ends, self._slow = list[int](), list[tuple[float, float]]()  # times and rates
+        self._ends: list[int] = []
+        self._slow: list[tuple[float, float]] = []  # times and rates
         self._fastest, self.switches = 0.0, 0  # velocity, m/s, where something switches
         self._last: tuple[int, Variations] | None = None
         loop = trace(scene, run)

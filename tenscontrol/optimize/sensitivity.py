@@ -293,7 +293,8 @@ def _derivatives(work: _Differentiable) -> tuple[dict[str, FloatArray], dict[str
     """Return the derivatives of nodes and velocities by each parameter."""
     structure, variations = work.structure, work.variations
     whole = variations.whole(variations.forward())
-    nodes, velocities = dict[str, FloatArray](), dict[str, FloatArray]()
+    nodes: dict[str, FloatArray] = {}
+    velocities: dict[str, FloatArray] = {}
     d, n = structure.nodes.shape
     for parameter, columns in zip(work.parameters, variations.columns, strict=True):
         for rows, into in zip(whole, (nodes, velocities), strict=True):

@@ -129,9 +129,11 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     taut = [of_span.taut for of_span in ends if of_span.taut is not None]
     assert len(taut) == len(spans)  # it was traced
     # One step after the other in memory, as they are gone through.
-    until = np.concatenate([of_span.time for of_span in ends])
-    states = np.concatenate([spans[0].begin[None], *(of_span.states.T for of_span in ends)]).T
-    pulled = np.concatenate([of_span.T for of_span in taut]).T
+    until, pulled = ends[0].time, taut[0]
+    if len(spans) > 1:
+        until = np.concatenate([of_span.time for of_span in ends])
+        pulled = np.concatenate([of_span.T for of_span in taut]).T
+    states = np.concatenate([spans[0].begin[None], *[of_span.states.T for of_span in ends]]).T
     which, within = np.zeros(len(until), dtype=int), np.zeros(len(until))
     within[1:] = until[:-1]
     if len(spans) > 1:
@@ -149,8 +151,9 @@ def steps_of(run: PlantRun, load: FloatArray, start: FloatArray) -> TracedSteps:
     if layout.degree:
         origins = np.array([span.origin for span in spans])
         inputs = np.vstack([inputs, (begins - origins)[which] + within])
-    pushes = dict[int, Push]()
-    for i, span in enumerate(spans):
+    pushes: dict[int, Push] = {}
+    may_jump = run.supports is not None or run.bars is not None
+    for i, span in enumerate(spans) if may_jump else ():
         jump = span.jump
         if run.bars is not None:  # whose rates may jump, though they do not
             rates = None if jump is None else jump.bars

@@ -79,7 +79,8 @@ def tableau(method: str) -> Tableau:
 
 def columns_of(parameters: Sequence[Parameter]) -> list[slice]:
     """Return which columns of a derivative are those of each parameter."""
-    columns, end = list[slice](), 0
+    columns: list[slice] = []
+    end = 0
     for parameter in parameters:
         begin, end = end, end + parameter.size
         columns.append(slice(begin, end))
@@ -720,7 +721,8 @@ class Variations:
     def _places(self) -> tuple[dict[int, list[int]], dict[int, list[tuple[float, int]]]]:
         """Return of steps which times are their end, and parts of them that reach others."""
         steps = self.steps
-        ends, parts = dict[int, list[int]](), dict[int, list[tuple[float, int]]]()
+        ends: dict[int, list[int]] = {}
+        parts: dict[int, list[tuple[float, int]]] = {}
         for i, k in enumerate(steps.step_at(self.times).tolist()):
             past, length = float(self.times[i] - steps.begin[k]), float(steps.length[k])
             if past <= 0:
@@ -767,7 +769,8 @@ class Variations:
         stops = {*self._passed.tolist(), *ends, *parts, *(k - 1 for k in parts), count - 1}
         if self.answers is not None:
             stops |= {k - 1 for k in range(count) if self.answers.begins(k)}
-        legs, first = list[list[_Leg]](), 0
+        legs: list[list[_Leg]] = []
+        first = 0
         for stop in sorted(k for k in stops if k >= 0):
             for k in range(first, stop + 1, most):
                 some = min(most, stop + 1 - k)

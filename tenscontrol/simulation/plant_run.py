@@ -247,7 +247,7 @@ class PlantRun:
             reason = f"found one of degree {held.degree}"
             raise ValueError(f"the run was made for inputs of degree {self.degree}, {reason}")
         end = self.now + duration
-        inputs = held.within(self.now, end)
+        inputs = held if len(held.start) == 1 else held.within(self.now, end)
         self.moves |= not inputs.is_constant
         if self._given is not None:
             others = self._given.within(self.now, end)
@@ -258,9 +258,11 @@ class PlantRun:
         # Round-off of the times leaves no spans of no length.
         close = 1e-9 * duration
         within = self.now + close, end - close
-        cuts = inputs.breaks(*within)
+        cuts = [] if len(inputs.start) == 1 else inputs.breaks(*within)
         if self.faults.cuts:
             cuts = sorted({*self.faults.cut_times(*within), *cuts})
+        if not cuts:
+            return self._run_span(state, inputs, duration, close)
         durations, now = list[float](), self.now
         for cut in cuts:
             durations.append(cut - now)
