@@ -446,7 +446,9 @@ class CoreMotion:
             return ()
         if self._settings.traces:
             parts = self._traced or [[array[:0] for array in self._steps]]
-            time, *rest = map(np.concatenate, zip(*parts, strict=True))
+            time, *rest = parts[0]
+            if len(parts) > 1:
+                time, *rest = map(np.concatenate, zip(*parts, strict=True))
         else:
             time, *rest = self._kept(self._steps[:2])
         return time, *(array.T for array in rest)
