@@ -115,15 +115,15 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
 
-def _is_among(outputs: IntArray, some: IntArray) -> np.ndarray:
-    """Return which outputs are among some, both ascending."""
-    ended = np.concatenate((some, _NO_OUTPUT))
-    return np.asarray(ended[some.searchsorted(outputs)] == outputs)
+def _among(outputs: IntArray, some: IntArray) -> tuple[IntArray, np.ndarray]:
+    """Return how many of some are below each output, and whether it is one; both ascending."""
+    below = some.searchsorted(outputs)
+    return below, np.concatenate((some, _NO_OUTPUT)).take(below) == outputs
 
 
 def _common(one: IntArray, other: IntArray) -> IntArray:
     """Return the outputs that are among both, ascending."""
-    among: IntArray = other[_is_among(other, one)]
+    among: IntArray = other[_among(other, one)[1]]
     return among
 
 
@@ -257,12 +257,14 @@ class Motion:
             begin + stage.length * (np.arange(1, stage.outputs + 1) / stage.outputs)
             for begin, stage in zip(begins, self.stages, strict=True)
         ]
-        time = _joined(times)[self.path.columns]
+        time, kept = _joined(times), self.path.columns
+        if len(kept) < len(time):
+            time = time[kept]
         window = np.minimum((time / ends[-1] * _WINDOWS).astype(int), _WINDOWS - 1)
         largest = np.zeros((len(error), _WINDOWS + 1))
         first = _first_of_each(window)
         largest[:, window[first] + 1] = np.maximum.reduceat(error, first, axis=1)
-        least: FloatArray = np.maximum(error, largest[:, window])
+        least: FloatArray = np.maximum(error, largest.take(window, axis=1))
         return least
 
     def _from_another(self, limit: float) -> FloatArray:
@@ -410,10 +412,9 @@ class Motion:
             return off
         beside = np.zeros((len(off), len(columns) + 2))
         beside[:, 1:-1], beside[:, -1] = off, np.inf
-        kept = self.path.columns
-        before = columns.searchsorted(kept)
-        earlier = np.where(_is_among(kept, columns), 0.0, beside[:, before])
-        return np.maximum(beside[:, before + 1], earlier)
+        below, is_met = _among(self.path.columns, columns)
+        earlier = np.where(is_met, 0.0, beside.take(below, axis=1))
+        return np.maximum(beside.take(below + 1, axis=1), earlier)
 
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Return the largest distance of a node between positions, as part of the size."""
