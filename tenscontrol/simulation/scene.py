@@ -250,7 +250,7 @@ class Scene:
         # What controllers, runs and functions of time do may change, though they are the same.
         if self.controller is None and self.start is None:
             values = vars(self)
-            if not any(callable(values[name]) for name in _GIVEN):
+            if not any(map(callable, map(values.__getitem__, _GIVEN))):
                 last.scene = ref(self)
 
     def _check_strength(self, sections: Sections) -> None:
