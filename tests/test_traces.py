@@ -14,7 +14,7 @@ a function            5        –      the second command of a ``FunctionContro
 The numbers of 0.1.0 were counted by this test. A file counts if a function of it is called.
 Those at the base of the package, with checks and types, are not counted; in 0.1.0 they were.
 
-What a run costs beside its steps is counted in calls of functions of the package: 417 with the
+What a run costs beside its steps is counted in calls of functions of the package: 389 with the
 compiled core, and 933 in 0.2.0; and in all functions that are entered.
 """
 
@@ -22,6 +22,7 @@ import gc
 import sys
 from collections import Counter
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -30,6 +31,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.core.library import library
+from tenscontrol.fields import check_fields, checked
 from tests.benchmarks.error_against_time import MOTIONS
 from tests.marks import needs_core
 
@@ -175,13 +177,13 @@ def test_what_a_later_run_costs_beside_its_steps(scene):
     tc.simulate(scene.model, 1e-4, **given)
     with calls() as passed:
         tc.simulate(scene.model, 1e-4, **given)
-    most = 430 if library() is not None else 1330  # each step is Python's without the core
+    most = 400 if library() is not None else 1330  # each step is Python's without the core
     assert len(passed) <= most, Counter(passed).most_common(20)
 
 
 # NumPy and Python differ by some calls from version to version.
 @needs_core
-@pytest.mark.parametrize(("error", "most"), [("none", 680), ("estimate", 960)])
+@pytest.mark.parametrize(("error", "most"), [("none", 550), ("estimate", 790)])
 def test_a_later_run_enters_few_functions(error, most):
     scene = MOTIONS["taut"].make(5.0)
 
@@ -193,6 +195,47 @@ def test_a_later_run_enters_few_functions(error, most):
 
     call()
     assert entered_by(call) <= most
+
+
+@needs_core
+def test_derivatives_of_a_run_enter_few_functions():
+    scene = MOTIONS["taut"].make(1.0)
+    run = tc.simulate(
+        scene.model, 1.0, velocities=scene.velocities, rest_length=scene.rest_length,
+        tolerance=1e-3, error="none",
+    )  # fmt: skip
+
+    def call():
+        tc.sensitivity(run, ["rest_length"])
+
+    call()
+    assert entered_by(call) <= 510
+
+
+def test_defaults_of_a_record_are_not_checked_again():
+    seen = list[object]()
+
+    def check(name, value):
+        seen.append(value)
+        if value is None:
+            raise TypeError(f"{name} is None")
+        return value
+
+    @dataclass(frozen=True)
+    class Record:
+        given: str = field(default="as a rule", metadata=checked(check))
+        needed: object = field(default=None, metadata=checked(check))
+
+        def __post_init__(self):
+            check_fields(self)
+
+    Record(needed=1)
+    seen.clear()
+    Record(needed=2)
+    assert seen == [2]
+    with pytest.raises(TypeError, match="needed is None"):
+        Record("another")
+    assert seen == [2, "another", None]
 
 
 def test_a_run_leaves_nothing_to_the_garbage_collector(scene):
