@@ -92,8 +92,8 @@ class RunVariations:
         self._last: tuple[int, Variations] | None = None
         loop = trace(scene, run)
         run.take = None
-        if self._slow and self._last is not None:
-            self._see_speed(self._last[1])
+        if self._slow:
+            self._see_speed()
         actuators = None if loop is None else loop.actuators
         if isinstance(actuators, Actuators) and (of_motors or actuators.follows_motion):
             self._refuse_beside_motors(actuators)
@@ -221,7 +221,7 @@ class RunVariations:
         """Look at a part of the run, and keep the last."""
         if self._last is not None:
             self._states.append(self._last[1].motion())
-            self._see_speed(self._last[1])
+            self._see_speed()
             self._last = None  # or there were two at a time
         variations = self._variations(run, len(self._ends))
         switches, steps = variations.switches, variations.steps
@@ -231,9 +231,10 @@ class RunVariations:
             self._slow += zip(ends.tolist(), np.abs(switches.rate).tolist(), strict=True)
         self._last = len(self._ends) - 1, variations
 
-    def _see_speed(self, part: Variations) -> None:
-        """Take note of the largest velocity of a free coordinate in a part."""
-        states = part.steps.states
+    def _see_speed(self) -> None:
+        """Take note of the largest velocity of a free coordinate in the last part."""
+        assert self._last is not None  # it was taken
+        states = self._last[1].steps.states
         fastest = float(np.abs(states[len(states) // 2 :]).max())
         self._fastest = max(self._fastest, fastest)
 
