@@ -266,7 +266,7 @@ class Derivatives:
             return Switches(none, none, no_states, no_inputs, no_offsets, nothing, no_states)
 
         key = "no switches", layout.strings, layout.offset
-        return self._model.prepared.get(key, build)
+        return self.model.prepared.get(key, build)
 
     def at_switches(
         self, x: FloatArray, u: FloatArray, before: FloatArray, step: IntArray, which: IntArray
