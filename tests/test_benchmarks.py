@@ -468,11 +468,16 @@ def test_sensitivities(printed):
     assert "left out, 0: " in text
 
 
-def test_derivatives(printed, jax_compiles_quickly):
+def test_derivatives(printed, monkeypatch, jax_compiles_quickly):
+    module = import_module("tests.benchmarks.derivatives")
+    # JAX compiles for each step anew, for seconds, until it comes to an error of 1e-2 in reverse.
+    monkeypatch.setattr(module, "grid", lambda coarsest, *_: (coarsest,))
     how = "--scenes switching --errors 1e-2 --repeats 1 --duration 0.1 --longest 0.1"
     text = printed("derivatives", how)
-    assert "tenscontrol, central differences" in text
-    assert "tenscontrol, gradient" in text
+    for program in ("tenscontrol, sensitivity", "tenscontrol, central", "tenscontrol, gradient"):
+        assert len(re.findall(rf"^1e-02  {program}.* [^-\s]+$", text, re.M)) == 1
+    for program in beside("JAX, forward", "JAX, reverse"):
+        assert len(re.findall(rf"^1e-02  {program} ", text, re.M)) == 1
 
 
 def test_identification(printed):
@@ -587,17 +592,18 @@ def test_error_against_time(printed, monkeypatch, jax_compiles_quickly):
 
 
 @needs("mujoco", "bench")
-@pytest.mark.parametrize("scene", ["slack", "ground"])
-def test_batch(printed, monkeypatch, jax_compiles_quickly, scene):
+@pytest.mark.parametrize(("scene", "kind"), [("slack", np.float32), ("ground", np.float64)])
+def test_batch(printed, monkeypatch, jax_compiles_quickly, scene, kind):
     module = import_module("tests.benchmarks.batch")
     monkeypatch.setattr(module, "BLOCKS", (5,))
+    monkeypatch.setattr(module, "PRECISIONS", (kind,))
     text = printed(
         "batch", f"--structures prism --scenes {scene} --runs 5 --duration 0.1 --repeats 1"
         " --errors 1e-3",
     )  # fmt: skip
     for program in beside(
         "tenscontrol, default call", "tenscontrol, ends, no estimate", "NumPy RK4, blocks of 5",
-        "JAX RK4, float64, blocks of 5", "JAX RK4, float32, blocks of 5", "MuJoCo rollout RK4",
+        f"JAX RK4, {kind.__name__}, blocks of 5", "MuJoCo rollout RK4",
     ):  # fmt: skip
         (found,) = cheapest(text, program)
         assert 0 < found[1] <= 1e-3

@@ -48,6 +48,7 @@ FORCE_DENSITY = {"taut": 30.0, "slack": 0.5, "ground": 0.5}  # N/m
 SPEED = {"taut": 0.05, "slack": 0.5, "ground": 0.2}  # m/s
 PART = 0.99
 BLOCKS = (250, 500, 1000)
+PRECISIONS = (np.float64, np.float32)  # of JAX
 KEPT = 50  # states that MuJoCo keeps at a time
 SINGLE = 50  # loops that are run one by one
 
@@ -201,7 +202,7 @@ def peers(case: tc.Scene, velocities: np.ndarray) -> list[Program]:
     if not is_missing("jax"):
         programs += [
             jax_many(case, velocities, kind, block, steps)
-            for kind in (np.float64, np.float32)
+            for kind in PRECISIONS
             for block in sorted({min(block, len(velocities)) for block in BLOCKS})
             if len(velocities) % block == 0
         ]
