@@ -83,6 +83,14 @@ def compiled_quickly():
 
 
 @pytest.fixture(autouse=True, scope="session")
+def figures_saved_with_few_dots():
+    """Nobody looks at them, and dots take most of the time of a file."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tenscontrol.plot.style._DPI", 40)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def warnings_point_to_lines_of_users():
     """Each warning of any test names a line outside of the package and of Python's library."""
 
