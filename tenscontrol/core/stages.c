@@ -14,6 +14,13 @@
 /* What the solution may be off by, in levels, before it is refined. */
 #define STAGES_OFF 1e-13
 
+/* What a correction changes inputs by, in levels, that is worth another, and how many at most. */
+#define STAGES_AGAIN 1e-11
+#define STAGES_ROUNDS 10
+
+/* What inputs may be off by at the end, in levels. */
+#define STAGES_LOOSE 1e-7
+
 /* The place of the derivatives of stage k. */
 static size_t stages_slot(const Stages *s, int k)
 {
@@ -272,7 +279,10 @@ static void stages_thin_prepare(Stages *s)
                        s->unit + s->G_which[e], s->limited_v + (size_t)i * n);
 }
 
-/* f = S'(B't + g) as [w v s], of slopes g by inputs, and p -= W'f. */
+/*
+ * f = S'(B't + g) as [w v s], of slopes g by inputs, and p -= W'f. With D g alone for s, f would be
+ * a difference of numbers as large as multipliers are, where it is next to nothing.
+ */
 static void stages_thin_aim(const Stages *s, int k, const double *t, const double *g, double *f,
                             double *p)
 {
@@ -281,14 +291,16 @@ static void stages_thin_aim(const Stages *s, int k, const double *t, const doubl
     double *rest = f + stages_thin_s(s, k);
     for (j = 0; j < a; j++)
         rest[j] = s->unit[j] * g[j];
-    memset(v, 0, (size_t)n * sizeof *v);
-    stages_add(a, n, 1.0, s->V, rest, v);
     for (i = 0; i < n; i++) {
-        w[i] = v[i];
+        w[i] = 0.0;
         for (j = 0; j < n; j++)
             w[i] += s->T[i * n + j] * t[j];
-        w[i] *= s->shrink[i];
     }
+    stages_add(n, a, 1.0, s->V_t, w, rest);
+    memset(v, 0, (size_t)n * sizeof *v);
+    stages_add(a, n, 1.0, s->V, rest, v);
+    for (i = 0; i < n; i++)
+        w[i] = s->shrink[i] * v[i];
     stages_add(n, n, -1.0, s->W, w, p);
 }
 
@@ -314,6 +326,23 @@ static void stages_thin_input(const Stages *s, int k, const double *x, const dou
     stages_add(n, a, 1.0, s->V_t, c, u);
     for (j = 0; j < a; j++)
         u[j] *= s->unit[j];
+}
+
+/* Find the states from the first on by these inputs: a simulation by x knows few digits of B u where
+   x is large. */
+static void stages_thin_follow(const Stages *s, const double *u, double *z)
+{
+    int n = s->states, a = s->inputs, j, k;
+    double *c = s->work, *scaled = c + n;
+    for (k = 0; k < s->stages; k++, z += n, u += a) {
+        for (j = 0; j < a; j++)
+            scaled[j] = u[j] / s->unit[j];
+        memset(c, 0, (size_t)n * sizeof *c);
+        stages_add(a, n, 1.0, s->V, scaled, c);
+        memcpy(z + n, s->gap + (size_t)k * n, (size_t)n * sizeof *z);
+        stages_add(n, n, 1.0, s->T, c, z + n);
+        stages_add(n, n, 1.0, s->motion, z, z + n);
+    }
 }
 
 /* Whether costs differ from P right of the diagonal by no more than a part of their diagonal. */
@@ -993,6 +1022,8 @@ void stages_program_place(StagesProgram *program, const StagesSizes *sizes, doub
     program->y = stages_take(&numbers, rows);
     program->dz = stages_take(&numbers, (N + 1) * n);
     program->du = stages_take(&numbers, N * a);
+    program->by_z = stages_take(&numbers, (N + 1) * n);
+    program->by_u = stages_take(&numbers, N * a);
     views[0] = s->z;
     views[1] = s->u;
     views[2] = program->y;
@@ -1209,29 +1240,44 @@ static double stages_program_off(const StagesProgram *program, const double *sta
 /*
  * Take out of the solution what round-off has left of the conditions of the optimum. Factors of a
  * problem whose weights differ by decades, or whose optimum without limits is far away, know few
- * digits of it; slopes and limits along the motion itself know them all.
+ * digits of it; slopes and limits along the motion itself know them all. States and inputs take the
+ * corrections: x may be so large that its round-off is more than those. The last one, of round-off
+ * alone, is what inputs may still be off by. Returns a status.
  */
-static void stages_program_refine(StagesProgram *program, const double *state,
+static int stages_program_refine(StagesProgram *program, const double *state,
                                   const double *acting, const double *previous)
 {
     Stages *s = &program->stages;
-    int states = (s->stages + 1) * s->states, inputs = s->stages * s->inputs, i;
+    int states = (s->stages + 1) * s->states, inputs = s->stages * s->inputs, round, i;
     double *z = program->dz, *u = program->du, *step = program->step;
+    double *by_z = program->by_z, *by_u = program->by_u, moved = INFINITY, before;
     stages_program_begin(program, state, acting);
     stages_simulate(s, program->x, s->first, s->gap, z, u);
-    stages_limits(s, z, u, program->values);
-    stages_program_bounds(program, previous, program->values, program->lower, program->upper);
-    for (i = 0; i < states; i++)
-        z[i] += s->off_z[i];
-    for (i = 0; i < inputs; i++)
-        u[i] += s->off_u[i];
-    stages_aim(s, z, u, NULL, program->set.y, step);
-    for (i = 0; i < program->set.columns; i++)
-        step[i] = -step[i];
-    active_set_correct(&program->set, program->lower, program->upper, step);
-    for (i = 0; i < program->set.columns; i++)
-        program->x[i] += step[i];
-    program->moved = 1;
+    for (round = 0; round < STAGES_ROUNDS && moved > STAGES_AGAIN; round++) {
+        before = moved;
+        if (s->thin)
+            stages_thin_follow(s, u, z);
+        stages_limits(s, z, u, program->values);
+        stages_program_bounds(program, previous, program->values, program->lower, program->upper);
+        for (i = 0; i < states; i++)
+            by_z[i] = z[i] + s->off_z[i];
+        for (i = 0; i < inputs; i++)
+            by_u[i] = u[i] + s->off_u[i];
+        stages_aim(s, by_z, by_u, NULL, program->set.y, step);
+        for (i = 0; i < program->set.columns; i++)
+            step[i] = -step[i];
+        active_set_correct(&program->set, program->lower, program->upper, step);
+        memset(by_z, 0, (size_t)s->states * sizeof *by_z);
+        stages_simulate(s, step, NULL, NULL, by_z, by_u);
+        moved = stages_largest(by_u, (size_t)inputs) / s->level;
+        if (!(moved < 0.5 * before))
+            break;
+        for (i = 0; i < states; i++)
+            z[i] += by_z[i];
+        for (i = 0; i < inputs; i++)
+            u[i] += by_u[i];
+    }
+    return moved <= STAGES_LOOSE ? ACTIVE_SET_OK : ACTIVE_SET_INACCURATE;
 }
 
 /* Keep the solution, and find its first input, where all stages are alike. */
@@ -1239,9 +1285,14 @@ static void stages_program_choose(StagesProgram *program)
 {
     const Stages *s = &program->stages;
     int i;
+    if (program->refined) {
+        memcpy(program->chosen, program->du, (size_t)s->stages * s->inputs * sizeof(double));
+        return;
+    }
     for (i = 0; i < program->set.columns; i++)
         program->chosen[i] = program->x[i] - s->first[i];
     memcpy(program->drift, s->gap, (size_t)s->stages * s->states * sizeof *s->gap);
+    memcpy(program->start, program->dz, (size_t)s->states * sizeof(double));
     stages_input(s, 0, program->chosen, NULL, program->start, program->du);
 }
 
@@ -1265,23 +1316,28 @@ int stages_program_solve(StagesProgram *program, const double *state, const doub
                               program->x);
     if (status != ACTIVE_SET_OK)
         return status;
-    if (stages_program_off(program, state) > STAGES_OFF)
-        stages_program_refine(program, state, acting, previous);
+    program->refined = stages_program_off(program, state) > STAGES_OFF;
+    if (program->refined)
+        status = stages_program_refine(program, state, acting, previous);
+    else if (s->alike || program->moved)
+        stages_program_begin(program, state, acting);
+    if (status != ACTIVE_SET_OK)
+        return status;
     memcpy(program->y, program->set.y, (size_t)program->set.rows * sizeof(double));
-    if (s->alike) {
-        stages_program_begin(program, state, acting);
-        memcpy(program->start, program->dz, (size_t)s->states * sizeof(double));
+    if (s->alike)
         stages_program_choose(program);
-    } else if (program->moved) {
-        stages_program_begin(program, state, acting);
+    else if (program->moved && !program->refined)
         stages_simulate(s, program->x, s->first, s->gap, program->dz, program->du);
-    }
     return status;
 }
 
 void stages_program_plan(StagesProgram *program)
 {
     const Stages *s = &program->stages;
+    if (program->refined) {
+        memcpy(program->du, program->chosen, (size_t)s->stages * s->inputs * sizeof(double));
+        return;
+    }
     memcpy(program->dz, program->start, (size_t)s->states * sizeof *program->dz);
     stages_simulate(s, program->chosen, NULL, program->drift, program->dz, program->du);
 }

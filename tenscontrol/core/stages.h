@@ -94,8 +94,8 @@ typedef struct {
 #define STAGES_NUMBERS(alike, thin, N, n, a, p, rows, most)                               \
     (ACTIVE_SET_NUMBERS(rows, STAGES_COLUMNS(thin, N, n, a), most, !(alike)) +            \
      ((alike) ? 1 : (size_t)(N)) * STAGES_MATRICES(thin, n, a, p) +                       \
-     4 * STAGES_COLUMNS(thin, N, n, a) + (size_t)(N) * ((p) + (n) + 2 * (a)) +            \
-     (size_t)((N) + 1) * (3 * (n) + (a) + 2) + 4 * (size_t)(rows) + STAGES_WORK(thin, n, a) + \
+     4 * STAGES_COLUMNS(thin, N, n, a) + (size_t)(N) * ((p) + (n) + 3 * (a)) +            \
+     (size_t)((N) + 1) * (4 * (n) + (a) + 2) + 4 * (size_t)(rows) + STAGES_WORK(thin, n, a) + \
      ((alike) ? STAGES_ALIKE(thin, N, n, a, rows) : 0))
 #define STAGES_INTEGERS(alike, N, rows, most) \
     (ACTIVE_SET_INTEGERS(rows, most) + ((alike) ? (size_t)(rows) / (N) : 3 * (size_t)(N)))
@@ -128,7 +128,9 @@ typedef struct {
     double *lower, *upper, *values, *y; /* (rows) each; y: multipliers to start from */
     double *x, *none, *step;            /* (STAGES_COLUMNS), none: zeros */
     double *dz, *du;                    /* (N + 1, n) and (N, a): departures from the plan */
+    double *by_z, *by_u;                /* as many: what a correction adds to them */
     int moved;                          /* whether the departures are no more those of x = 0 */
+    int refined; /* whether the departures are those of the last solution, corrected */
     /* where all stages are alike */
     double *last;                  /* (rows of a stage, N a): rows of the last stage; of thin ones
                                       their w, (rows of a stage, N n) */
@@ -136,7 +138,7 @@ typedef struct {
     double *map;                   /* (n, rows): what z_0 does to the limits; NULL: too large */
     double *low_offset, *high_offset; /* (rows): bounds less the limits at z_0 = 0 and x = 0 */
     double *chosen, *drift, *start; /* (STAGES_COLUMNS), (N n), (n): x - f, d and z_0 of the
-                                         last solution */
+                                         last solution; if refined, chosen are its inputs */
 } StagesProgram;
 
 SOLVER_API size_t stages_program_size(void);

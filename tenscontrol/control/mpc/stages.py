@@ -37,6 +37,9 @@ from tenscontrol.status import Status
 # Of a limit, in its unit: what round-off may leave of it.
 STAGES_TOLERANCE = 1e-10
 
+# Of c of thin factors: rows are sums of parts that are larger by one over it, and cancel.
+_LEAST_SHRINK = 5e-3
+
 _SIZES = (
     "stages", "states", "inputs", "limited", "ramp", "changes", "soft", "limit", "ahead", "alike",
     "thin", "crossed",
@@ -115,7 +118,7 @@ def _thin_factors(problem: MPCProblem) -> tuple[FloatArray, ...] | None:
     """Return D, V, T and c of ``S = D (I − V (I − diag c) Vᵀ)`` with ``D Bᵀ = V T``.
 
     V is orthonormal, and ``Sᵀ (R + Bᵀ P B) S = I``. None if R is no diagonal, states and inputs
-    share a weight, or inputs are few.
+    share a weight, inputs are few, or some cost so little that c is nearly zero.
     """
     _, R, P = _weights(problem)
     n, a = problem.input_matrix.shape
@@ -125,7 +128,8 @@ def _thin_factors(problem: MPCProblem) -> tuple[FloatArray, ...] | None:
     half = axes * np.sqrt(np.maximum(squares, 0.0))
     V, T = tall_qr(unit[:, None] * problem.input_matrix.T)
     turn, size, _ = np.linalg.svd(T @ half)
-    return unit, V @ turn, turn.T @ T, 1 / np.sqrt(1 + size**2)
+    shrink = 1 / np.sqrt(1 + size**2)
+    return None if shrink.min() < _LEAST_SHRINK else (unit, V @ turn, turn.T @ T, shrink)
 
 
 def stages_data(

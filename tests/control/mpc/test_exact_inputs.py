@@ -123,3 +123,13 @@ def test_commands_of_random_programs_are_exact(seed):
     for one in commands(seed):
         assert one.status == "ok" or one.note == "no point keeps all rows"
         assert one.error < EXACT or one.note
+
+
+@needs_core  # OSQP is not as exact
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="no long double")
+@pytest.mark.parametrize("seed", [2006, 2104, 2310])
+def test_many_inputs_are_exact_where_multipliers_are_huge(seed):
+    """They hold limits against a state far off: up to 1e9, of which 1e-7 is round-off."""
+    ends = commands(seed)[:2]
+    assert {one.status for one in ends} == {"ok"}
+    assert max(one.error for one in ends) < 1e-2 * EXACT
