@@ -167,10 +167,6 @@ class Path:
         return work[:, self.columns.searchsorted(columns)]
 
 
-def no_loop() -> None:
-    """Return no loop: of a motion without a controller."""
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """A motion that can be integrated again at another resolution.
@@ -193,11 +189,9 @@ class Motion:
         Makes the integrator for another value.
     later : callable
         ``(held, time) -> held`` of a span that begins a time later, s.
-    loop : callable
-        Makes ``value -> path`` of the motion at another value with its controller in the loop, or
-        None where there is no controller, or no other one like it.
-    is_doubted : bool
-        Whether commands that are replayed would not tell the errors of the loop.
+    loop : callable, optional
+        ``value -> path`` of the motion at another value with its controller in the loop. None where
+        there is no controller, or no other one like it: inputs are replayed.
     report : callable, optional
         Told the time reached by another motion, s.
     """
@@ -212,8 +206,7 @@ class Motion:
     order: int
     integrator: Callable[[float], Resolved]
     later: Callable[[FloatArray, float], FloatArray]
-    loop: Callable[[], Callable[[float], Path] | None] = no_loop
-    is_doubted: bool = False
+    loop: Callable[[float], Path] | None = None
     report: Callable[[float], None] | None = None
 
     def estimated_error(self, limit: float) -> FloatArray:
@@ -226,18 +219,11 @@ class Motion:
 
         As part of the size, and in J, one a row.
 
-        Under a controller the inputs are replayed. An unstable structure that the loop holds would
-        leave under them, and a loop that does not hold its structure may magnify what is wrong as
-        the structure alone does not. So above a limit, and where it is doubted, the motion is found
-        again with the controller in the loop.
+        Under a controller the motion is found again with it in the loop. Under its commands alone
+        an unstable structure that the loop holds would leave, and a loop that acts far from what it
+        was designed for may magnify what is wrong as the structure alone does not.
         """
-        loop = self.loop() if self.is_doubted else None
-        if loop is None:
-            error = self._from_another(limit)
-            if error.size and float(error[0].max()) > limit:
-                loop = self.loop()
-        if loop is not None:
-            error = self._in_loop(loop)
+        error = self._from_another(limit) if self.loop is None else self._in_loop(self.loop)
         return self._without_dips(error)
 
     def errors_by_tolerance(self) -> FloatArray:
@@ -444,16 +430,15 @@ class Motion:
 def estimated_errors(
     run: PlantRun,
     limit: float,
-    loop: Callable[[], Callable[[float], PlantRun] | None],
-    is_doubted: bool,
+    loop: Callable[[float], PlantRun] | None,
     report: Callable[[float], None] | None,
     work: FloatArray | None,
 ) -> FloatArray | None:
     """Return estimates of errors at all times kept, one a row; None if interrupted.
 
     Of the nodes, as part of the size, and of the work of drives of bars, J, if it is given, (β, T).
-    ``limit`` is that up to which the motion is trusted; ``loop`` and ``is_doubted`` are as in
-    :class:`Motion`; ``report`` is told the time reached, s.
+    ``limit`` is that up to which the motion is trusted; ``loop`` does the run at another value
+    under a copy of its controller, if there is one; ``report`` is told the time reached, s.
     """
     structure, stages = run.model.structure, []
     half = len(structure.free_rows)
@@ -465,21 +450,15 @@ def estimated_errors(
         done = None if work is None else partial(_work_of_stage, run, i + 1)
         stages.append(Stage(float(span.time[-1]) - start, len(span.time), u, begin, done))
 
-    def of_loop() -> Callable[[float], Path] | None:
-        again = loop()
-        if again is None:
-            return None
-
-        def path(value: float) -> Path:
-            other = again(value)
-            return _path(other, None if work is None else done_by_drives(other)[1])
-
-        return path
+    def in_loop(value: float) -> Path:
+        assert loop is not None  # else it is not asked for
+        other = loop(value)
+        return _path(other, None if work is None else done_by_drives(other)[1])
 
     motion = Motion(
         structure, run.spans[0].begin, stages, _path(run, work), np.arange(half),
         run.choice.setting, run.choice.value, run.order, run.integrator_for,
-        run.equation.layout.later, of_loop, is_doubted, report,
+        run.equation.layout.later, None if loop is None else in_loop, report,
     )  # fmt: skip
     try:
         later = motion.estimated_errors(limit)

@@ -935,12 +935,8 @@ def _trajectory(
         if scene.integration.error == "estimate" and stopped is None:
             limit = limits.position_error or ERROR_LIMIT
             work = None if done is None else done[1]
-            again = partial(_run_again, scene, run, loop, report)
-            # A filter that refuses readings, or starts over, may magnify errors unseen.
-            is_doubted = record is not None and (
-                record.estimate is not None or bool(record.problems)
-            )
-            errors = estimated_errors(run, limit, again, is_doubted, report, work)
+            again = _run_again(scene, run, loop, report)
+            errors = estimated_errors(run, limit, again, report, work)
         return assembled(
             run, record, errors, stopped, limits, given=scene.given, note=scene.start_note,
             scene=scene if scene.start is None else None, done=done,

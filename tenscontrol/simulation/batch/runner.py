@@ -46,7 +46,7 @@ from tenscontrol.simulation.arguments import Arguments
 from tenscontrol.simulation.batch.batch_inputs import BatchInputs, InputSpan
 from tenscontrol.simulation.batch.compiled_loop import MOST_CONTROLLERS, CompiledLoops
 from tenscontrol.simulation.batch.sample import Sample, SampledRun, TightenedRuns
-from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage, no_loop
+from tenscontrol.simulation.error_estimate import Motion, Path, Resolved, Stage
 from tenscontrol.simulation.health import ERROR_LIMIT
 from tenscontrol.simulation.motion_functions import MotionFunctions
 from tenscontrol.simulation.trajectory import Trajectory
@@ -718,17 +718,16 @@ class Runner:
         is_known = self._from >= 0
         nodes = self.nodes[run].swapaxes(-3, -2)
         positions = nodes.reshape(*nodes.shape[:-3], -1, nodes.shape[-1])[..., is_known, 1:]
-        loop: Callable[[], Callable[[float], Path] | None] = no_loop
+        loop = None
         switches, order = 0, METHODS["dop853"].order
         if np.ndim(run) == 0:
             switches = int(self.switches[run] + self.missed[run])
             order = (self.how.chosen or METHODS[self._methods_of(run)[-1]]).order
             if self._controller is not None:
-                loop = partial(partial, self._looped_again, run, start, integrator)
+                loop = partial(self._looped_again, run, start, integrator)
         return Motion(
             structure, start, stages, Path(columns, positions, switches), self._from[is_known],
             self.choice.setting, self.choice.value, order, integrator, self._later, loop,
-            is_doubted=self._controller is not None,
         )  # fmt: skip
 
     def _looped_again(
