@@ -19,7 +19,7 @@
 #define STAGES_ROUNDS 10
 
 /* What inputs may be off by at the end, in levels. */
-#define STAGES_LOOSE 1e-7
+#define STAGES_LOOSE 1e-5
 
 /* The place of the derivatives of stage k. */
 static size_t stages_slot(const Stages *s, int k)
