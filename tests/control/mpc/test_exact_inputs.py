@@ -133,3 +133,13 @@ def test_many_inputs_are_exact_where_multipliers_are_huge(seed):
     ends = commands(seed)[:2]
     assert {one.status for one in ends} == {"ok"}
     assert max(one.error for one in ends) < 1e-2 * EXACT
+
+
+@needs_core  # OSQP runs out of iterations
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="no long double")
+def test_few_limits_take_no_thousands_of_changes():
+    """Rows whose lengths differ by decades went in and out 6,686 times: 136 of them."""
+    ends = commands(40, "d_bar")
+    assert {one.status for one in ends} == {"ok"}
+    assert max(one.error for one in ends) < EXACT
+    assert 5 * 136 < max(one.changes for one in ends) < 2500
