@@ -68,7 +68,8 @@
 
 /* The same operations, so the same numbers, in wider registers where the machine has them: in the
    library of the core, not in code for small machines. */
-#if defined(TENSCONTROL_SOURCES) && defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#if defined(TENSCONTROL_SOURCES) && defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && \
+    !defined(__clang__)
 #define SOLVER_WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define SOLVER_WIDE
@@ -89,67 +90,65 @@
 
 /* Rows that can be active at once: independent ones, violated soft ones, and one that is added. */
 #define ACTIVE_SET_MOST(rows, columns, soft) \
-    ((rows) < (columns) + (soft) + 1 ? (rows) : (columns) + (soft) + 1)
+  ((rows) < (columns) + (soft) + 1 ? (rows) : (columns) + (soft) + 1)
 
 /* Sizes of the memory; `columns` counts once more for each row where rows are stored. */
-#define ACTIVE_SET_NUMBERS(rows, columns, most, stored)                          \
-    (2 * (size_t)(rows) + (columns) + 3 * (size_t)(most) +                       \
-     (size_t)(most) * ((size_t)(most) - 1) / 2 + ((stored) ? (size_t)(most) * (columns) : 0))
+#define ACTIVE_SET_NUMBERS(rows, columns, most, stored)                                              \
+  (2 * (size_t)(rows) + (columns) + 3 * (size_t)(most) + (size_t)(most) * ((size_t)(most) - 1) / 2 + \
+   ((stored) ? (size_t)(most) * (columns) : 0))
 #define ACTIVE_SET_INTEGERS(rows, most) ((size_t)(rows) + 5 * (size_t)(most))
 #define ACTIVE_SET_POINTERS(most) ((size_t)(most))
 
 /* What rows have beside their entries; x is all `columns` of it. */
 typedef struct {
-    double (*inner)(void *data, int i, int j); /* what it adds to the product of rows i and j */
-    double (*value)(void *data, int i, const double *x); /* ... of row i and x */
-    void (*add)(void *data, double factor, int i, double *x); /* ... to x + factor times row i */
-    double (*square)(void *data, const double *x); /* |x|^2, whole */
+  double (*inner)(void *data, int i, int j);                /* what it adds to the product of rows i and j */
+  double (*value)(void *data, int i, const double *x);      /* ... of row i and x */
+  void (*add)(void *data, double factor, int i, double *x); /* ... to x + factor times row i */
+  double (*square)(void *data, const double *x);            /* |x|^2, whole */
 } ActiveSetRest;
 
 typedef struct {
-    /* given by the caller */
-    int rows, columns, most, stored, limit;
-    double tolerance;
-    const double *price, *curvature;
-    void (*products)(void *data, const double *x, double *out);
-    void (*batch)(void *data, int count, const int *which, double *const *space,
-                  const double **entries, int *length);
-    const ActiveSetRest *rest; /* NULL: nothing */
-    int (*stop)(void *data); /* asked at each change; NULL: never stops */
-    void *data;
-    /* answer, besides x */
-    double *y;      /* (rows) */
-    int iterations; /* changes of the active set in the last solve */
-    double apart;   /* the least distance, squared, from the span of others at which a row was added, as
+  /* given by the caller */
+  int rows, columns, most, stored, limit;
+  double tolerance;
+  const double *price, *curvature;
+  void (*products)(void *data, const double *x, double *out);
+  void (*batch)(void *data, int count, const int *which, double *const *space, const double **entries,
+                int *length);
+  const ActiveSetRest *rest; /* NULL: nothing */
+  int (*stop)(void *data);   /* asked at each change; NULL: never stops */
+  void *data;
+  /* answer, besides x */
+  double *y;      /* (rows) */
+  int iterations; /* changes of the active set in the last solve */
+  double apart;   /* the least distance, squared, from the span of others at which a row was added, as
                        a part of its length */
-    /* the active set */
-    int count, singular; /* whether the last active row depends on the others */
-    int candidates;      /* how many are behind the active rows in the lists of rows */
-    int *place;          /* (rows), of a row among the active ones; -1 if it is not, -2 if barred */
-    int *active, *length, *slot; /* (most), lists of rows: which, and where they are stored */
-    const double **entries;      /* (most), a list of rows as well */
-    int *side, *violated;        /* (most), of the active rows */
-    double *stored_rows, *factor, *pivot; /* of L D L' */
-    double *product, *step, *residual, *column;
+  /* the active set */
+  int count, singular;         /* whether the last active row depends on the others */
+  int candidates;              /* how many are behind the active rows in the lists of rows */
+  int *place;                  /* (rows), of a row among the active ones; -1 if it is not, -2 if barred */
+  int *active, *length, *slot; /* (most), lists of rows: which, and where they are stored */
+  const double **entries;      /* (most), a list of rows as well */
+  int *side, *violated;        /* (most), of the active rows */
+  double *stored_rows, *factor, *pivot; /* of L D L' */
+  double *product, *step, *residual, *column;
 } ActiveSet;
 
 /* Give the solver its memory. Nothing is active then. */
-SOLVER_API void active_set_place(ActiveSet *set, double *numbers, int *integers,
-                                 const double **pointers);
+SOLVER_API void active_set_place(ActiveSet *set, double *numbers, int *integers, const double **pointers);
 
 /* Forget the active set, and begin with the rows whose multiplier is not zero; y may be NULL. */
 SOLVER_API void active_set_start(ActiveSet *set, const double *y);
 
 /* Solve. Returns a status; x, of `columns` numbers, is the answer where that is 0. */
-SOLVER_API int active_set_solve(ActiveSet *set, const double *q, const double *low,
-                                const double *high, double *x);
+SOLVER_API int active_set_solve(ActiveSet *set, const double *q, const double *low, const double *high,
+                                double *x);
 
 /*
  * Correct the last answer by residuals that are known better than its rows say them: bounds less
  * the values of the rows, and in `step` what the slope x + q + M'y is less than zero by. The step to
  * add to x is written there; the multipliers are corrected.
  */
-SOLVER_API void active_set_correct(ActiveSet *set, const double *low, const double *high,
-                                   double *step);
+SOLVER_API void active_set_correct(ActiveSet *set, const double *low, const double *high, double *step);
 
 #endif

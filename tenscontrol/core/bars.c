@@ -5,9 +5,7 @@
 #include "core.h"
 #include "largest.h"
 
-static double dot(const double *a, const double *b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
+static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 static double within(double share) { return share < 0 ? 0 : share > 1 ? 1 : share; }
 
@@ -52,8 +50,7 @@ static void put(const Motion *motion, int node, int time, double *to) {
 enum { TIMES = 1024 };
 
 /* One coordinate of a node at some times, as it lies in memory or copied. */
-static const double *some(const Motion *motion, int node, int axis, int first, int times,
-                          double *copy) {
+static const double *some(const Motion *motion, int node, int axis, int first, int times, double *copy) {
   const double *from = along(motion, node, axis) + first * motion->time;
   if (motion->time == 1) return from;
   for (int t = 0; t < times; ++t) copy[t] = from[t * motion->time];
@@ -93,11 +90,9 @@ void tc_largest_speeds(const Rates *rates, int32_t intervals, double *speed, dou
   double *largest = work;
   memset(largest, 0, 3 * (size_t)count * sizeof *largest);
   for (int t = 0; t < intervals; t += TIMES)
-    raise_to(&rates->begin, t, intervals - t < TIMES ? intervals - t : TIMES, count, rates->nodes,
-             largest);
+    raise_to(&rates->begin, t, intervals - t < TIMES ? intervals - t : TIMES, count, rates->nodes, largest);
   raise_to(&rates->end, intervals - 1, 1, count, rates->nodes, largest);
-  for (int i = 0; i < count; ++i)
-    speed[rates->nodes[i]] = sqrt(dot(largest + 3 * i, largest + 3 * i));
+  for (int i = 0; i < count; ++i) speed[rates->nodes[i]] = sqrt(dot(largest + 3 * i, largest + 3 * i));
 }
 
 /* The first interval after k that ends at a time or later. */
@@ -111,16 +106,15 @@ static int first_to_reach(const double *begin, const double *length, int k, int 
   return low;
 }
 
-int64_t tc_near_bars(const Motion *nodes, const Rates *rates, int32_t intervals,
-                     const double *begin, const double *length, int32_t count,
-                     const int32_t *pairs, double faster, int64_t room, int32_t *found,
-                     double *speed, double *work) {
+int64_t tc_near_bars(const Motion *nodes, const Rates *rates, int32_t intervals, const double *begin,
+                     const double *length, int32_t count, const int32_t *pairs, double faster, int64_t room,
+                     int32_t *found, double *speed, double *work) {
   int64_t near = 0;
   tc_largest_speeds(rates, intervals, speed, work);
   for (int p = 0; p < count; ++p) {
     const int32_t *ends = pairs + 4 * p;
-    const double closing = faster * (fmax(speed[ends[0]], speed[ends[1]]) +
-                                     fmax(speed[ends[2]], speed[ends[3]]));
+    const double closing =
+        faster * (fmax(speed[ends[0]], speed[ends[1]]) + fmax(speed[ends[2]], speed[ends[3]]));
     for (int k = 0; k < intervals;) {
       double x[12];
       for (int i = 0; i < 4; ++i) put(nodes, ends[i], k, x + 3 * i);

@@ -86,15 +86,14 @@ static Number weigh(const Number *room, Truth meant, Number *plain, Number *fall
   }
   count += only(is_odd, choice(is_late, all(-1), all(1)));
   for (int j = 0; j < PATH; ++j) plain[j] = falling[j] = all(0);
-  for (int i = 0; i < PATH; ++i)
-    add_integrals(i % 2 ? -sign : sign, time[i], plain, falling);
+  for (int i = 0; i < PATH; ++i) add_integrals(i % 2 ? -sign : sign, time[i], plain, falling);
   add_integrals(truth(ends_out), all(1), plain, falling);
   return count;
 }
 
 /* Weighs some strings, each of the run in one lane, side by side: few strings switch in many runs. */
-static void weigh_some(const Tried *step, int m, const Number *rooms, int some, const int *of,
-                       const int *in, Number *weights, Number *switches) {
+static void weigh_some(const Tried *step, int m, const Number *rooms, int some, const int *of, const int *in,
+                       Number *weights, Number *switches) {
   Number room[PATH], plain[PATH], falling[PATH], meant = all(0), count;
   for (int j = 0; j < PATH; ++j) room[j] = all(0);
   for (int i = 0; i < some; ++i) {
@@ -116,9 +115,8 @@ static void weigh_some(const Tried *step, int m, const Number *rooms, int some, 
 
 /* Positions in the middle of a step, of degree 5: those of middle_of in events.c, of degree 3, would be
    off by more than what is carried. No force that is asked for here depends on velocities. */
-WIDE static void middle_by(const Number *restrict x, const Number *restrict x1,
-                           const Number *restrict slope, const Number *restrict slope1, Number h,
-                           Number *restrict y, int half) {
+WIDE static void middle_by(const Number *restrict x, const Number *restrict x1, const Number *restrict slope,
+                           const Number *restrict slope1, Number h, Number *restrict y, int half) {
   for (int i = 0; i < half; ++i) {
     const Number v = x[half + i], v1 = x1[half + i], a = slope[half + i], a1 = slope1[half + i];
     y[i] = (x[i] + x1[i]) / 2 + h * (5. / 32 * (v - v1) + h / 64 * (a + a1));
@@ -129,8 +127,7 @@ WIDE static void middle_by(const Number *restrict x, const Number *restrict x1,
 /* Adds to x, the end of a step, what its switches change, and sets the strings that pull then, in the
    runs that are meant. Returns how many switches there were. The accelerations in `slope` become what
    they change by moving the nodes. */
-SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut,
-                    Number *slope) {
+SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut, Number *slope) {
   const Scene *s = span->scene;
   const int m = span->switches, half = span->states / 2, first = s->clustered ? 0 : s->slacking;
   const Number h = step->h, end = step->time + h;
@@ -143,8 +140,7 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   middle_by(step->x, step->x1, step->slope, step->slope1, h, y, half);
   gap_at(span, y, step->time + 0.5 * h, some, span->gap, 0);
   scale = gap_scales(span, step->time);
-  for (int k = 0; k <= 2 * PATH; ++k)
-    memset(weights + k * m + first, 0, (m - first) * sizeof *weights);
+  for (int k = 0; k <= 2 * PATH; ++k) memset(weights + k * m + first, 0, (m - first) * sizeof *weights);
   for (int k = 0; k < some->count; ++k) {
     const int i = some->which[k];
     const Number sign = 2 * step->taut[i] - 1, band = BAND * scale[i];
@@ -167,8 +163,7 @@ SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Numbe
   for (int j = 0; j < PATH; ++j) {
     const Input input = input_at(span, step->time + j / (PATH - 1.) * h);
     const Number *at = j == 0 ? step->x : j == 1 ? y : step->x1;
-    weighed_accelerations(s, at, &input, some, j < PATH - 1 ? 2 : 3, weights + 2 * j * m, a,
-                          span->work);
+    weighed_accelerations(s, at, &input, some, j < PATH - 1 ? 2 : 3, weights + 2 * j * m, a, span->work);
     for (int i = 0; i < half; ++i) {
       dx[half + i] += h * a[i];
       dx[i] += h * h * a[half + i];

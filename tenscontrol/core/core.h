@@ -43,15 +43,15 @@ typedef struct {
   int32_t law, damped, strings, segments, clustered, slacking, switches;
   int32_t free_bars, swinging_bars, points, grounds, bars;
   int32_t block_bars, block_rows, unknowns, factors;
-  double size;     /* largest extent of the structure, m */
-  double shortest; /* length below which a segment of a cluster has no direction, m */
+  double size;             /* largest extent of the structure, m */
+  double shortest;         /* length below which a segment of a cluster has no direction, m */
   const int32_t *free_row; /* (free), or null where all are */
   const double *place;     /* (entries): positions of what supports hold, m */
   const double *load;      /* (entries), N, or null */
   const int32_t *segment_start, *segment_end, *segment_string;
-  const double *stiffness, *damping; /* (strings): N/m or N, and N s/m */
+  const double *stiffness, *damping;  /* (strings): N/m or N, and N s/m */
   const int32_t *bar_start, *bar_end; /* (free_bars) */
-  const int32_t *bar_row; /* (free_bars, 2): places of its ends among the free entries */
+  const int32_t *bar_row;             /* (free_bars, 2): places of its ends among the free entries */
   const double *bar_constants;
   const int32_t *hinge, *tip;
   const int32_t *tip_row;
@@ -59,18 +59,18 @@ typedef struct {
   const int32_t *point;
   const double *point_inverse_mass;
   const Ground *ground;
-  const double *ground_numbers; /* (grounds, GROUND_NUMBERS) */
-  const int32_t *any_start, *any_end; /* (bars): of all bars, for energies */
+  const double *ground_numbers;        /* (grounds, GROUND_NUMBERS) */
+  const int32_t *any_start, *any_end;  /* (bars): of all bars, for energies */
   const double *bar_mass, *point_mass; /* (bars), (entries / d): kg */
   /* Bars that share nodes: LDL' of [[M, J'], [J, 0]] in an order without vanishing pivots. The
      array of factors holds the entries below the diagonal, column by column, the diagonal, and one
      entry for what supports hold. */
-  const int32_t *block_start, *block_end;    /* (block_bars) */
-  const int32_t *entry_start, *entry_end;    /* (block_bars, d): places of b among the factors */
-  const int32_t *right_place;                /* (block_bars): of its equation among the unknowns */
-  const double *block_mass;                  /* (factors + unknowns + 1) */
+  const int32_t *block_start, *block_end; /* (block_bars) */
+  const int32_t *entry_start, *entry_end; /* (block_bars, d): places of b among the factors */
+  const int32_t *right_place;             /* (block_bars): of its equation among the unknowns */
+  const double *block_mass;               /* (factors + unknowns + 1) */
   const int32_t *factor_row, *factor_first, *factor_pair;
-  const int32_t *block_row, *block_place;    /* (block_rows): among the entries, the unknowns */
+  const int32_t *block_row, *block_place; /* (block_rows): among the entries, the unknowns */
   /* Where lengths are driven: which of all bars they are. */
   const int32_t *free_bar, *swinging_bar, *block_bar; /* (free_bars), ... (block_bars) */
   const int32_t *segment_row; /* (segments, 2): four times the numbers of their nodes */
@@ -90,7 +90,7 @@ typedef struct {
   int32_t bars, nodes;
   const int32_t *start, *end; /* (bars): places of nodes among the free entries */
   const double *bar_mass;
-  const int32_t *node;        /* (nodes): the same of its nodes */
+  const int32_t *node; /* (nodes): the same of its nodes */
   const double *point_mass;
 } Body;
 
@@ -130,10 +130,9 @@ EXPORTED void tc_largest_speeds(const Rates *rates, int32_t intervals, double *s
    come nearer in it, if their ends are so many times faster than their largest speeds, which it finds
    too. Intervals follow one another. `pairs` (count, 4) are the numbers of their nodes in space.
    Writes (pair, interval) of as many as there is room for, and returns how many there are. */
-EXPORTED int64_t tc_near_bars(const Motion *nodes, const Rates *rates, int32_t intervals,
-                              const double *begin, const double *length, int32_t count,
-                              const int32_t *pairs, double faster, int64_t room, int32_t *found,
-                              double *speed, double *work);
+EXPORTED int64_t tc_near_bars(const Motion *nodes, const Rates *rates, int32_t intervals, const double *begin,
+                              const double *length, int32_t count, const int32_t *pairs, double faster,
+                              int64_t room, int32_t *found, double *speed, double *work);
 
 /* Distances of pairs of nodes at many times, m, (count, times). Of this and what follows, times are
    next to one another in memory. */
@@ -141,8 +140,7 @@ EXPORTED void tc_distances(const Motion *nodes, int32_t dimension, int32_t times
                            const int32_t *pairs, double *distance);
 
 /* Kinetic energy at many times, J, of rates of all nodes, m/s. */
-EXPORTED void tc_kinetic_energy(const Scene *scene, int32_t times, const Motion *rates,
-                                double *energy);
+EXPORTED void tc_kinetic_energy(const Scene *scene, int32_t times, const Motion *rates, double *energy);
 
 /* What strings store at many times, less what a load does, J, of nodes, m, inputs (strings, times), or
    (strings) where they are constant, and the load (entries), N, or null. Work memory is two numbers a
@@ -160,10 +158,9 @@ typedef struct {
 
 /* Finds it by the bits of the three calls above, and the lengths of all bars, (bars), m. Work memory is
    four numbers a time. */
-EXPORTED void tc_conservation(const Scene *scene, int32_t times, const Motion *nodes,
-                              const Motion *rates, const double *inputs, int32_t is_constant,
-                              const double *load, const double *length, Conservation *found,
-                              double *work);
+EXPORTED void tc_conservation(const Scene *scene, int32_t times, const Motion *nodes, const Motion *rates,
+                              const double *inputs, int32_t is_constant, const double *load,
+                              const double *length, Conservation *found, double *work);
 
 /* A quadrature over parts from 0 to 1, whose first share is 0 and whose last is 1. */
 typedef struct {
@@ -176,8 +173,8 @@ typedef struct {
    bars), by a quadrature along quintics. What pulls and presses is what the states say. Of redundant
    bars force densities are those of a set that holds the others. */
 EXPORTED void tc_strut_work(const Scene *scene, const Drive *drive, const Quadrature *quadrature,
-                            int32_t parts, const double *times, const double *states,
-                            double *density, double *strut_work, double *work);
+                            int32_t parts, const double *times, const double *states, double *density,
+                            double *strut_work, double *work);
 /* Its work memory. */
 EXPORTED size_t tc_strut_work_size(const Scene *scene, const Drive *drive);
 
@@ -185,11 +182,11 @@ EXPORTED size_t tc_strut_work_size(const Scene *scene, const Drive *drive);
 typedef struct {
   double time, step; /* s */
   int32_t stuck, stalls;
-  int64_t tries, rejections, landings, approaches, switches, interpolants, missed,
-      carries, carried, short_tries;
+  int64_t tries, rejections, landings, approaches, switches, interpolants, missed, carries, carried,
+      short_tries;
   int32_t kept, every, since; /* ends of steps: how many, every which of them, since the last */
-  int32_t short_left; /* by dop853: how many steps of order 5 are to follow */
-  double last;        /* by dop853: the error of the step before, if it was of order 8 */
+  int32_t short_left;         /* by dop853: how many steps of order 5 are to follow */
+  double last;                /* by dop853: the error of the step before, if it was of order 8 */
 } Progress;
 
 /* How a motion is integrated. */
@@ -231,12 +228,12 @@ EXPORTED size_t tc_motion_work_size(const Scene *scene, const Drive *drive);
 
 /* xdot of a state at the start of a span; taut says which strings pull and which contacts press,
    1 or 0 each. */
-EXPORTED void tc_slope(const Scene *scene, const Drive *drive, const double *state,
-                       const double *taut, double *slope, double *work);
+EXPORTED void tc_slope(const Scene *scene, const Drive *drive, const double *state, const double *taut,
+                       double *slope, double *work);
 
 /* How far strings are from slack and contacts from open, m, and the rates of it, m/s. */
-EXPORTED void tc_gap(const Scene *scene, const Drive *drive, const double *state, double *gap,
-                     double *rate, double *work);
+EXPORTED void tc_gap(const Scene *scene, const Drive *drive, const double *state, double *gap, double *rate,
+                     double *work);
 
 /* Which strings pull and contacts press in a state. */
 EXPORTED void tc_taut(const Scene *scene, const Drive *drive, const double *state, double *taut,
@@ -248,14 +245,14 @@ EXPORTED double tc_begin(const Scene *scene, const Drive *drive, const double *s
                          double *slope, double *work);
 
 /* Puts the bars of a state on their lengths at the start of a span. */
-EXPORTED void tc_restore(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                         double *state, double *work);
+EXPORTED void tc_restore(const Scene *scene, const Drive *drive, const Lengths *lengths, double *state,
+                         double *work);
 
 /* The largest angular frequency of small motions about a state, rad/s, by power iteration on the
    derivative of the accelerations by positions, from differences of a length. `vector` is where it
    begins. Contacts are taken as open. */
-EXPORTED double tc_frequency(const Scene *scene, const Drive *drive, const double *state,
-                             double difference, const double *vector, double *work);
+EXPORTED double tc_frequency(const Scene *scene, const Drive *drive, const double *state, double difference,
+                             const double *vector, double *work);
 
 /* Evaluations of the equation by dop853 so far. */
 EXPORTED double tc_evaluations(const Progress *progress);
@@ -266,9 +263,9 @@ EXPORTED double tc_evaluations(const Progress *progress);
    `step_states` (room, states) become the ends of steps, and `step_taut` (room, switches), where it is
    traced, what pulled and pressed in them: of every second where they have no room, and so on. */
 EXPORTED int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                            const Settings *settings, Progress *progress, double *state,
-                            double *slope, double *taut, double *states, double *step_times,
-                            double *step_states, double *step_taut, double *work);
+                            const Settings *settings, Progress *progress, double *state, double *slope,
+                            double *taut, double *states, double *step_times, double *step_states,
+                            double *step_taut, double *work);
 
 /* Spans of one motion, one after the other, and by what dop853 finds its steps and what they may err. */
 typedef struct {
@@ -293,25 +290,23 @@ EXPORTED void tc_start(const Scene *scene, const Drive *drive, const Spans *rule
    ends of steps do. Work memory is 3 `states` + `switches` more. */
 EXPORTED int32_t tc_advance_spans(const Scene *scene, const Drive *drive, const Lengths *lengths,
                                   const Settings *settings, const Spans *spans, Progress *progress,
-                                  double *state, double *states, double *step_times,
-                                  double *step_states, double *step_taut, double *work);
+                                  double *state, double *states, double *step_times, double *step_states,
+                                  double *step_taut, double *work);
 
 /* Finds what runs by dop853 begin with, from the states of `start`, one a row: largest frequencies as
    `tc_frequency` does, (runs), or null where they are known, the largest force on an entry that is
    free, (runs), and slopes and what pulls, one row a run. */
-EXPORTED void tc_begin_runs(const Scene *scene, const Drive *drive, const Runs *runs,
-                            const double *start, const double *difference, const double *vector,
-                            double *frequency, double *force, double *slope, double *taut,
-                            double *work);
+EXPORTED void tc_begin_runs(const Scene *scene, const Drive *drive, const Runs *runs, const double *start,
+                            const double *difference, const double *vector, double *frequency, double *force,
+                            double *slope, double *taut, double *work);
 
 /* Integrates many runs, to the bits of `tc_advance`, from the states of `start`, one a row;
    writes the states at outputs, (runs, outputs, states), and the progress of each run. All end
    after the step they are in once `stop` is not 0; by dop853 a run ends, too, where it is stuck or
    has reached the limit. */
 EXPORTED void tc_advance_runs(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                              const Settings *settings, const Runs *runs, const double *start,
-                              double *states, Progress *progress, const volatile int32_t *stop,
-                              double *work);
+                              const Settings *settings, const Runs *runs, const double *start, double *states,
+                              Progress *progress, const volatile int32_t *stop, double *work);
 /* Work memory of both. */
 EXPORTED size_t tc_runs_work_size(const Scene *scene, const Drive *drive, const Settings *settings,
                                   const Runs *runs);

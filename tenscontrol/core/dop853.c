@@ -64,13 +64,13 @@ enum { ACROSS_FOLLOWING = 20 };
 /* How far a motion is, what it has counted, and the step that it tries: numbers alone, so that runs
    can go from lane to lane. */
 typedef struct {
-  Number time, step, longest;  /* s: the step to try next, and the longest */
-  Number stuck, stalls, done;  /* whether it can go on, switches in a row, outputs that are reached */
+  Number time, step, longest; /* s: the step to try next, and the longest */
+  Number stuck, stalls, done; /* whether it can go on, switches in a row, outputs that are reached */
   Number tries, rejections, landings, approaches, switches, interpolants, carries, carried;
-  Number short_tries, short_left; /* tries and approaches of order 5, and how many are to follow */
-  Number last;       /* the error of the step before, if it was of order 8 */
-  Number h, error, factor;     /* length and error of the step, and how much longer the next is */
-  Number crossed, taken;       /* how many strings may switch in it; what of it is taken, s */
+  Number short_tries, short_left;          /* tries and approaches of order 5, and how many are to follow */
+  Number last;                             /* the error of the step before, if it was of order 8 */
+  Number h, error, factor;                 /* length and error of the step, and how much longer the next is */
+  Number crossed, taken;                   /* how many strings may switch in it; what of it is taken, s */
   Number is_inside, is_carried, is_across; /* ends on its interpolant; switches are carried, or crossed */
 } Adaptive;
 
@@ -98,8 +98,7 @@ typedef struct {
 enum { DOP853_STATES = POWERS + SHORT_STAGES + 5, DOP853_TAUTS = 2, STEP_SLOPES = STAGES + 1 };
 
 /* A method without a motion, in memory of DOP853_STATES and DOP853_TAUTS. */
-static Dop853 dop853_of(Span *span, const Settings *settings, Emit *emit, void *emitter,
-                        Number *work) {
+static Dop853 dop853_of(Span *span, const Settings *settings, Emit *emit, void *emitter, Number *work) {
   const int n = span->states, m = span->switches;
   Dop853 method;
   memset(&method, 0, sizeof method);
@@ -119,21 +118,33 @@ static Dop853 dop853_of(Span *span, const Settings *settings, Emit *emit, void *
 }
 
 /* The sums of a stage, in wide registers. */
-#define SUM(k)                                                                                   \
-  WIDE static void sum_##k(const Number *restrict x, Number h, const Number *restrict K,         \
-                           Number *restrict y, int n) {                                          \
-    for (int i = 0; i < n; ++i) y[i] = x[i] + h * STAGE_##k;                                     \
+#define SUM(k)                                                                                               \
+  WIDE static void sum_##k(const Number *restrict x, Number h, const Number *restrict K, Number *restrict y, \
+                           int n) {                                                                          \
+    for (int i = 0; i < n; ++i) y[i] = x[i] + h * STAGE_##k;                                                 \
   }
-SUM(1) SUM(2) SUM(3) SUM(4) SUM(5) SUM(6) SUM(7) SUM(8) SUM(9) SUM(10) SUM(11)
-SUM(13) SUM(14) SUM(15)
-#define STAGE(k)                                                              \
-  do {                                                                        \
-    sum_##k(x, h, K, y, n);                                                   \
-    slope_at(m->span, y, m->now->time + TIME_##k * h, m->pulls, K + k * n);   \
+SUM(1)
+SUM(2)
+SUM(3)
+SUM(4)
+SUM(5)
+SUM(6)
+SUM(7)
+SUM(8)
+SUM(9)
+SUM(10)
+SUM(11)
+SUM(13)
+SUM(14)
+SUM(15)
+#define STAGE(k)                                                            \
+  do {                                                                      \
+    sum_##k(x, h, K, y, n);                                                 \
+    slope_at(m->span, y, m->now->time + TIME_##k * h, m->pulls, K + k * n); \
   } while (0)
 
-WIDE static void sum_end(const Number *restrict x, Number h, const Number *restrict K,
-                         Number *restrict y, int n) {
+WIDE static void sum_end(const Number *restrict x, Number h, const Number *restrict K, Number *restrict y,
+                         int n) {
   for (int i = 0; i < n; ++i) y[i] = x[i] + h * END;
 }
 
@@ -143,22 +154,35 @@ static void step_of(Dop853 *m, Number h, Number *x1) {
   const Number *x = m->x;
   Number *K = m->K, *y = m->y;
   memcpy(K, m->slope, n * sizeof *K);
-  STAGE(1); STAGE(2); STAGE(3); STAGE(4); STAGE(5); STAGE(6);
-  STAGE(7); STAGE(8); STAGE(9); STAGE(10); STAGE(11);
+  STAGE(1);
+  STAGE(2);
+  STAGE(3);
+  STAGE(4);
+  STAGE(5);
+  STAGE(6);
+  STAGE(7);
+  STAGE(8);
+  STAGE(9);
+  STAGE(10);
+  STAGE(11);
   sum_end(x, h, K, x1, n);
   restore_bars(m->span, x1, m->now->time + h);
 }
 
-#define SHORT(k)                                                                            \
+#define SHORT(k)                                                                               \
   WIDE static void short_sum_##k(const Number *restrict x, Number h, const Number *restrict K, \
-                                 Number *restrict y, int n) {                               \
-    for (int i = 0; i < n; ++i) y[i] = x[i] + h * SHORT_STAGE_##k;                          \
+                                 Number *restrict y, int n) {                                  \
+    for (int i = 0; i < n; ++i) y[i] = x[i] + h * SHORT_STAGE_##k;                             \
   }
-SHORT(1) SHORT(2) SHORT(3) SHORT(4) SHORT(5)
-#define SHORT_STAGE(k)                                                                      \
-  do {                                                                                      \
-    short_sum_##k(x, h, K, y, n);                                                           \
-    slope_at(m->span, y, m->now->time + SHORT_TIME_##k * h, pulls, K + k * n);              \
+SHORT(1)
+SHORT(2)
+SHORT(3)
+SHORT(4)
+SHORT(5)
+#define SHORT_STAGE(k)                                                         \
+  do {                                                                         \
+    short_sum_##k(x, h, K, y, n);                                              \
+    slope_at(m->span, y, m->now->time + SHORT_TIME_##k * h, pulls, K + k * n); \
   } while (0)
 
 WIDE static void short_sum_end(const Number *restrict x, Number h, const Number *restrict K,
@@ -178,14 +202,17 @@ static void short_step_of(Dop853 *m, Number h, Number *x1) {
   const Number *x = m->x, *pulls = goes_across(m) ? 0 : m->pulls;
   Number *K = m->short_slopes, *y = m->y;
   memcpy(K, m->slope, n * sizeof *K);
-  SHORT_STAGE(1); SHORT_STAGE(2); SHORT_STAGE(3); SHORT_STAGE(4); SHORT_STAGE(5);
+  SHORT_STAGE(1);
+  SHORT_STAGE(2);
+  SHORT_STAGE(3);
+  SHORT_STAGE(4);
+  SHORT_STAGE(5);
   short_sum_end(x, h, K, x1, n);
   restore_bars(m->span, x1, m->now->time + h);
 }
 
 /* The root mean square of the error over the state, as part of what it may be. */
-WIDE static Number error_of(const Number *restrict K, const Number *restrict scale, Number h,
-                            int n) {
+WIDE static Number error_of(const Number *restrict K, const Number *restrict scale, Number h, int n) {
   Number fifth = all(0), third = all(0), below;
   for (int i = 0; i < n; ++i) {
     const Number a = FIFTH / scale[i], b = THIRD / scale[i];
@@ -198,8 +225,7 @@ WIDE static Number error_of(const Number *restrict K, const Number *restrict sca
 }
 
 /* The same of a step of order 5, whose last slope is that at its end. */
-WIDE static Number short_error_of(const Number *restrict K, const Number *restrict scale, Number h,
-                                  int n) {
+WIDE static Number short_error_of(const Number *restrict K, const Number *restrict scale, Number h, int n) {
   Number sum = all(0);
   for (int i = 0; i < n; ++i) {
     const Number a = SHORT_ERROR / scale[i];
@@ -209,8 +235,7 @@ WIDE static Number short_error_of(const Number *restrict K, const Number *restri
 }
 
 /* What a path from the ends of the step errs, as error_of. */
-WIDE static Number path_error_of(const Number *restrict K, const Number *restrict scale, Number h,
-                                 int n) {
+WIDE static Number path_error_of(const Number *restrict K, const Number *restrict scale, Number h, int n) {
   Number sum = all(0);
   for (int i = 0; i < n / 2; ++i) {
     const Number off = FIFTH, q = PATH_OF_POSITIONS * h * off / scale[i];
@@ -245,8 +270,8 @@ static Number carry_error(const Number *defect, const Number *scale, Number h, i
   return root(sum / (double)n);
 }
 
-WIDE static void dense(const Number *restrict x, const Number *restrict x1,
-                       const Number *restrict K, Number h, Number *restrict to, int n) {
+WIDE static void dense(const Number *restrict x, const Number *restrict x1, const Number *restrict K,
+                       Number h, Number *restrict to, int n) {
   const Number *f = K, *f1 = K + STAGES * n;
   for (int i = 0; i < n; ++i) {
     const Number step = x1[i] - x[i];
@@ -267,7 +292,9 @@ static void interpolate(Dop853 *m, Number h) {
   const int n = m->span->states;
   const Number *x = m->x;
   Number *K = m->K, *y = m->y;
-  STAGE(13); STAGE(14); STAGE(15);
+  STAGE(13);
+  STAGE(14);
+  STAGE(15);
   dense(x, m->x1, K, h, m->interpolant, n);
   m->reach = h;
 }
@@ -321,8 +348,8 @@ static Number evaluations_of(const Adaptive *now) {
 }
 
 static Tried tried_step(const Dop853 *m) {
-  const Tried step = {m->x, m->x1, m->slope, m->K + STAGES * m->span->states, m->taut,
-                      m->now->time, m->now->h};
+  const Tried step = {m->x,    m->x1,        m->slope, m->K + STAGES * m->span->states,
+                      m->taut, m->now->time, m->now->h};
   return step;
 }
 
@@ -388,8 +415,7 @@ static void look_back(Dop853 *m, Truth meant) {
   Span *span = m->span;
   Adaptive *now = m->now;
   Number count = all(0);
-  gap_at(span, m->x1, now->time + now->h, 0, span->gap,
-         velocity_dependent(span->scene) ? span->rate : 0);
+  gap_at(span, m->x1, now->time + now->h, 0, span->gap, velocity_dependent(span->scene) ? span->rate : 0);
   for (int i = 0; i < span->switches; ++i) {
     const Number pulls = truth(span->gap[i] > 0);
     count += truth(meant & (pulls != m->taut[i]));
@@ -420,8 +446,8 @@ static void write_passed(Dop853 *m, Truth meant, Number after) {
   const double outputs = m->settings->outputs, spacing = m->settings->duration / outputs;
   Adaptive *now = m->now;
   const Number until = after * (1 + 2e-14);
-  const Truth due = meant & (now->done + 1 < outputs) & ((now->done + 1) * spacing <= until) &
-                    (after > now->time);
+  const Truth due =
+      meant & (now->done + 1 < outputs) & ((now->done + 1) * spacing <= until) & (after > now->time);
   const Truth carried = due & (now->is_carried != 0), inside = due & (now->is_inside != 0);
   const Truth others = due & (carried == 0) & (inside == 0);
   if (any(carried)) {
@@ -435,8 +461,7 @@ static void write_passed(Dop853 *m, Truth meant, Number after) {
   }
   if (any(others)) {
     const double most = m->settings->path;
-    const Number off =
-        most > 0 ? path_error_of(m->K, m->scale, now->taken, m->span->states) : all(most);
+    const Number off = most > 0 ? path_error_of(m->K, m->scale, now->taken, m->span->states) : all(most);
     const Truth on_path = others & ((now->short_left > 0) | (off < most));
     const Truth on_interpolant = others & (on_path == 0);
     Number *slope1 = m->K + STAGES * m->span->states;
@@ -464,18 +489,16 @@ static void end_steps(Dop853 *m, Truth meant) {
   Adaptive *now = m->now;
   const Truth crossed = meant & (now->crossed > 0), carried = meant & (now->is_carried != 0);
   const Truth landed = crossed & (carried == 0), across = meant & (now->is_across != 0);
-  const Number after = choice(now->taken >= duration - now->time, all(duration),
-                              now->time + now->taken);
+  const Number after = choice(now->taken >= duration - now->time, all(duration), now->time + now->taken);
   const Number *slope1 = m->K + STAGES * n;
   write_passed(m, meant, after);
   if (any(across)) look_back(m, across);
   for (int i = 0; i < n; ++i) m->x[i] = choice(meant, m->x1[i], m->x[i]);
-  now->step = choice(meant, now->h * choice(landed, smaller(now->factor, all(1)), now->factor),
-                     now->step);
+  now->step = choice(meant, now->h * choice(landed, smaller(now->factor, all(1)), now->factor), now->step);
   now->last = choice(meant, only(now->short_left == 0, now->error), now->last);
   now->landings += truth(crossed);
-  now->short_left = choice(meant, choice(carried, all(SHORT_FOLLOWING),
-                                         larger(now->short_left - 1, all(0))), now->short_left);
+  now->short_left = choice(meant, choice(carried, all(SHORT_FOLLOWING), larger(now->short_left - 1, all(0))),
+                           now->short_left);
   if (any(landed)) {
     const Number stalls = only(now->taken < SHORTEST * duration, now->stalls + 1);
     now->stalls = choice(landed, stalls, now->stalls);
@@ -585,8 +608,7 @@ static void land_on_first(Dop853 *m, Truth meant) {
     now->approaches += places;
     now->short_tries += only(is_long == 0, places);
   }
-  if (any(is_cut))
-    now->switches += switch_over(m->span, is_cut, m->x1, now->time + now->taken, m->taut);
+  if (any(is_cut)) now->switches += switch_over(m->span, is_cut, m->x1, now->time + now->taken, m->taut);
 }
 
 /* Ends steps that carry their switches, or shorter ones where these err too much. Returns which are
@@ -630,10 +652,12 @@ static Truth pass_switches(Dop853 *m, Truth meant) {
 
 /* The same between two calls, in one lane. */
 static void take_up(const Progress *from, double longest, double done, int i, Adaptive *to) {
-  const double numbers[] = {from->time, from->step, longest, from->stuck, from->stalls, done,
-                            from->tries, from->rejections, from->landings, from->approaches,
-                            from->switches, from->interpolants, from->carries, from->carried,
-                            from->short_tries, from->short_left, from->last};
+  const double numbers[] = {from->time,       from->step,       longest,
+                            from->stuck,      from->stalls,     done,
+                            from->tries,      from->rejections, from->landings,
+                            from->approaches, from->switches,   from->interpolants,
+                            from->carries,    from->carried,    from->short_tries,
+                            from->short_left, from->last};
   Number *place = (Number *)to;
   for (int k = 0; k < ADAPTIVE_NUMBERS; ++k) put(0, place + k, i);
   for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) put(numbers[k], place + k, i);
@@ -676,8 +700,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept 
   const double spacing = settings->duration / settings->outputs;
   const double done = floor(now->time / spacing * (1 + 1e-14));
   Adaptive motion;
-  Dop853 method = dop853_of(span, settings, emit_to_kept, kept,
-                            work + (1 + SLOPES) * (size_t)span->states);
+  Dop853 method = dop853_of(span, settings, emit_to_kept, kept, work + (1 + SLOPES) * (size_t)span->states);
   take_up(now, settings->longest, done, 0, &motion);
   method.now = &motion;
   method.x = x;
@@ -688,8 +711,7 @@ int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept 
   method.K = work + span->states;
   kept->column = (int)done + 1;
   span->goes_on = 0;
-  for (int tried = 0; tried < settings->budget && motion.time < settings->duration &&
-                      motion.stuck == 0;
+  for (int tried = 0; tried < settings->budget && motion.time < settings->duration && motion.stuck == 0;
        ++tried) {
     if (evaluations_of(&motion) >= settings->limit) break;
     if (!try_step(&method)) continue;

@@ -6,8 +6,8 @@
 #include "kernels.h"
 #include "largest.h"
 
-WIDE static void add_bar(const double *restrict start, const double *restrict end, double mass,
-                         int times, double *restrict energy) {
+WIDE static void add_bar(const double *restrict start, const double *restrict end, double mass, int times,
+                         double *restrict energy) {
   for (int t = 0; t < times; ++t) {
     double of_bar;
     bar_energy(start[t], end[t], mass, &of_bar);
@@ -15,8 +15,7 @@ WIDE static void add_bar(const double *restrict start, const double *restrict en
   }
 }
 
-WIDE static void add_point(const double *restrict rate, double mass, int times,
-                           double *restrict energy) {
+WIDE static void add_point(const double *restrict rate, double mass, int times, double *restrict energy) {
   for (int t = 0; t < times; ++t) energy[t] += 0.5 * mass * rate[t] * rate[t];
 }
 
@@ -25,16 +24,15 @@ void tc_kinetic_energy(const Scene *s, int32_t times, const Motion *rates, doubl
   memset(energy, 0, times * sizeof *energy);
   for (int k = 0; k < d; ++k) {
     for (int i = 0; i < s->bars; ++i)
-      add_bar(along(rates, s->any_start[i] / d, k), along(rates, s->any_end[i] / d, k),
-              s->bar_mass[i], times, energy);
+      add_bar(along(rates, s->any_start[i] / d, k), along(rates, s->any_end[i] / d, k), s->bar_mass[i], times,
+              energy);
     for (int i = 0; i < s->entries / d; ++i)
       if (s->point_mass[i] != 0) add_point(along(rates, i, k), s->point_mass[i], times, energy);
   }
 }
 
-WIDE static void squares_2(const double *restrict x0, const double *restrict x1,
-                           const double *restrict y0, const double *restrict y1, int times,
-                           double *restrict square) {
+WIDE static void squares_2(const double *restrict x0, const double *restrict x1, const double *restrict y0,
+                           const double *restrict y1, int times, double *restrict square) {
   for (int t = 0; t < times; ++t)
     square[t] = (x1[t] - x0[t]) * (x1[t] - x0[t]) + (y1[t] - y0[t]) * (y1[t] - y0[t]);
 }
@@ -46,8 +44,8 @@ WIDE static void add_square(const double *restrict z0, const double *restrict z1
 
 /* Squares of the distance of two nodes. */
 static void squares(const Motion *nodes, int d, int start, int end, int times, double *square) {
-  squares_2(along(nodes, start, 0), along(nodes, end, 0), along(nodes, start, 1),
-            along(nodes, end, 1), times, square);
+  squares_2(along(nodes, start, 0), along(nodes, end, 0), along(nodes, start, 1), along(nodes, end, 1), times,
+            square);
   if (d == 3) add_square(along(nodes, start, 2), along(nodes, end, 2), times, square);
 }
 
@@ -59,8 +57,8 @@ WIDE static void add_root(const double *restrict square, int times, double *rest
   for (int t = 0; t < times; ++t) length[t] += sqrt(square[t]);
 }
 
-void tc_distances(const Motion *nodes, int32_t dimension, int32_t times, int32_t count,
-                  const int32_t *pairs, double *distance) {
+void tc_distances(const Motion *nodes, int32_t dimension, int32_t times, int32_t count, const int32_t *pairs,
+                  double *distance) {
   for (int i = 0; i < count; ++i) {
     double *to = distance + (size_t)i * times;
     squares(nodes, dimension, pairs[2 * i], pairs[2 * i + 1], times, to);
@@ -70,8 +68,7 @@ void tc_distances(const Motion *nodes, int32_t dimension, int32_t times, int32_t
 
 /* What a string stores; its input is the same at all times where `step` is 0, else it is 1. */
 WIDE static void add_string(const Scene *s, int string, const double *restrict length,
-                            const double *restrict u, int step, int times,
-                            double *restrict energy) {
+                            const double *restrict u, int step, int times, double *restrict energy) {
   const double k = s->law == FORCE_DENSITY_HELD ? 0 : s->stiffness[string];
   double stored;
   if (s->law == FORCE_DENSITY_HELD)
@@ -88,8 +85,7 @@ WIDE static void add_string(const Scene *s, int string, const double *restrict l
     }
 }
 
-WIDE static void add_load(const double *restrict place, double load, int times,
-                          double *restrict energy) {
+WIDE static void add_load(const double *restrict place, double load, int times, double *restrict energy) {
   for (int t = 0; t < times; ++t) energy[t] -= load * place[t];
 }
 
@@ -128,8 +124,8 @@ WIDE static void take_stretches(double length, int times, double *restrict squar
 }
 
 void tc_conservation(const Scene *s, int32_t times, const Motion *nodes, const Motion *rates,
-                     const double *inputs, int32_t is_constant, const double *load,
-                     const double *length, Conservation *found, double *work) {
+                     const double *inputs, int32_t is_constant, const double *load, const double *length,
+                     Conservation *found, double *work) {
   const int d = s->dimension;
   double *kinetic = work, *energy = work + times, *square = energy + times;
   memset(found, 0, sizeof *found);

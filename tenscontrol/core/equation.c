@@ -25,18 +25,18 @@ enum { LINE = 8 };
 
 /* Parts of the work memory. */
 typedef struct {
-  Number *p, *v, *f, *g, *a, *b;                     /* (entries) */
-  Number *ends, *end_rates;                          /* (entries): of strings that supports move */
-  Number *S, *changes;                               /* (segments, d) */
-  Number *length, *rate, *gamma;                     /* (segments) */
+  Number *p, *v, *f, *g, *a, *b; /* (entries) */
+  Number *ends, *end_rates;      /* (entries): of strings that supports move */
+  Number *S, *changes;           /* (segments, d) */
+  Number *length, *rate, *gamma; /* (segments) */
   Number *string_length, *string_rate, *string_gamma, *string_taut; /* (strings) */
   Number *factors, *unknowns;
   double *rows; /* (nodes, 4), from where a line of the cache begins; of one run alone */
 } Work;
 
 SHARED size_t equation_work_size(const Scene *s) {
-  return 8 * (size_t)s->entries + (size_t)(2 * s->dimension + 3) * s->segments +
-         4 * (size_t)s->strings + (size_t)s->factors + 2 * (size_t)s->unknowns + 1 +
+  return 8 * (size_t)s->entries + (size_t)(2 * s->dimension + 3) * s->segments + 4 * (size_t)s->strings +
+         (size_t)s->factors + 2 * (size_t)s->unknowns + 1 +
          (WIDTH > 1 ? 0 : 4 * (size_t)(s->entries / s->dimension) + LINE);
 }
 
@@ -47,13 +47,25 @@ static inline Work parts_of(const Scene *s, Number *work) {
   Number *const unknowns = factors + s->factors + s->unknowns + 1;
   double *const rest = (double *)(unknowns + s->unknowns);
   const Work w = {
-      .p = work, .v = work + n, .f = work + 2 * n, .g = work + 3 * n, .a = work + 4 * n,
-      .b = work + 5 * n, .ends = work + 6 * n, .end_rates = work + 7 * n,
-      .S = S, .changes = S + d * s->segments,
-      .length = length, .rate = length + s->segments, .gamma = length + 2 * s->segments,
-      .string_length = string_length, .string_rate = string_length + s->strings,
-      .string_gamma = string_length + 2 * s->strings, .string_taut = string_length + 3 * s->strings,
-      .factors = factors, .unknowns = unknowns,
+      .p = work,
+      .v = work + n,
+      .f = work + 2 * n,
+      .g = work + 3 * n,
+      .a = work + 4 * n,
+      .b = work + 5 * n,
+      .ends = work + 6 * n,
+      .end_rates = work + 7 * n,
+      .S = S,
+      .changes = S + d * s->segments,
+      .length = length,
+      .rate = length + s->segments,
+      .gamma = length + 2 * s->segments,
+      .string_length = string_length,
+      .string_rate = string_length + s->strings,
+      .string_gamma = string_length + 2 * s->strings,
+      .string_taut = string_length + 3 * s->strings,
+      .factors = factors,
+      .unknowns = unknowns,
       .rows = rest + (LINE - (uintptr_t)rest / sizeof(double) % LINE) % LINE,
   };
   return w;
@@ -66,9 +78,9 @@ static void sum_by_string(const Scene *s, const Number *of_segments, Number *of_
 }
 
 /* Force densities of strings, N/m; of those that are slack 0. */
-WIDE static void force_densities(const Scene *s, const Number *restrict length,
-                                 const Number *restrict rate, const Number *restrict u,
-                                 const Number *restrict taut, Number *restrict gamma) {
+WIDE static void force_densities(const Scene *s, const Number *restrict length, const Number *restrict rate,
+                                 const Number *restrict u, const Number *restrict taut,
+                                 Number *restrict gamma) {
   const Number *restrict k = numbers(s->stiffness), *restrict c = numbers(s->damping);
   const int count = s->strings, linear = s->law == LINEAR_STRINGS;
   if (s->law == FORCE_DENSITY_HELD) {
@@ -76,23 +88,20 @@ WIDE static void force_densities(const Scene *s, const Number *restrict length,
     return;
   }
   if (linear && !s->damped)
-    for (int i = 0; i < count; ++i)
-      linear_undamped_force_density(length[i], u[i], k[i], gamma + i);
+    for (int i = 0; i < count; ++i) linear_undamped_force_density(length[i], u[i], k[i], gamma + i);
   else if (linear)
     for (int i = 0; i < count; ++i)
       linear_damped_force_density(length[i], u[i], rate[i], k[i], c[i], gamma + i);
   else if (!s->damped)
-    for (int i = 0; i < count; ++i)
-      elastic_undamped_force_density(length[i], u[i], k[i], gamma + i);
+    for (int i = 0; i < count; ++i) elastic_undamped_force_density(length[i], u[i], k[i], gamma + i);
   else
     for (int i = 0; i < count; ++i)
       elastic_damped_force_density(length[i], u[i], rate[i], k[i], c[i], gamma + i);
   for (int i = 0; i < count; ++i) gamma[i] *= taut[i];
 }
 
-WIDE static void string_gaps(const Scene *s, const Number *restrict length,
-                             const Number *restrict rate, const Number *restrict u,
-                             Number *restrict gap) {
+WIDE static void string_gaps(const Scene *s, const Number *restrict length, const Number *restrict rate,
+                             const Number *restrict u, Number *restrict gap) {
   const Number *restrict k = numbers(s->stiffness), *restrict c = numbers(s->damping);
   const int count = s->strings;
   if (!s->damped)
@@ -104,8 +113,8 @@ WIDE static void string_gaps(const Scene *s, const Number *restrict length,
 }
 
 /* Which strings pull by what they are given, or by their gaps. */
-static const Number *pulling(const Scene *s, const Number *length, const Number *rate,
-                             const Number *u, const Number *taut, Number *found) {
+static const Number *pulling(const Scene *s, const Number *length, const Number *rate, const Number *u,
+                             const Number *taut, Number *found) {
   if (taut || s->law == FORCE_DENSITY_HELD) return taut;
   string_gaps(s, length, rate, u, found);
   for (int i = 0; i < s->strings; ++i) found[i] = truth(found[i] > 0);
@@ -150,8 +159,7 @@ static const Number *moved(const Number *of, const Number *by, Number *to, int c
 }
 
 /* Positions and velocities of all entries. */
-static void nodes_of(const Scene *s, const Number *state, const Number **p, const Number **v,
-                     const Work *w) {
+static void nodes_of(const Scene *s, const Number *state, const Number **p, const Number **v, const Work *w) {
   *p = state;
   *v = state + s->free;
   if (!s->free_row) return;
@@ -164,7 +172,7 @@ static void nodes_of(const Scene *s, const Number *state, const Number **p, cons
 }
 
 SHARED void slope_of(const Scene *s, const Number *state, const Input *input, const Number *taut,
-              Number *slope, Number *work) {
+                     Number *slope, Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v, *ends, *end_rates;
   Number *a = s->free_row ? w.a : slope + s->free;
@@ -183,31 +191,26 @@ SHARED void slope_of(const Scene *s, const Number *state, const Input *input, co
     for (int i = 0; i < s->free; ++i) slope[s->free + i] = a[s->free_row[i]];
 }
 
-SHARED void slope_and_bars(const Scene *s, const Number *state, const Input *input,
-                           const Number *taut, Number *slope, Number *density, Number *work) {
+SHARED void slope_and_bars(const Scene *s, const Number *state, const Input *input, const Number *taut,
+                           Number *slope, Number *density, Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v;
   slope_of(s, state, input, taut, slope, work);
   nodes_of(s, state, &p, &v, &w);
-  if (s->dimension == 2)
-    bar_densities_2(s, p, v, w.f, input->extension, density, &w);
-  else
-    bar_densities_3(s, p, v, w.f, input->extension, density, &w);
+  if (s->dimension == 2) bar_densities_2(s, p, v, w.f, input->extension, density, &w);
+  else bar_densities_3(s, p, v, w.f, input->extension, density, &w);
 }
 
-SHARED void weighed_accelerations(const Scene *s, const Number *state, const Input *input,
-                                  const Some *some, int count, const Number *weights, Number *to,
-                                  Number *work) {
+SHARED void weighed_accelerations(const Scene *s, const Number *state, const Input *input, const Some *some,
+                                  int count, const Number *weights, Number *to, Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v, *ends, *end_rates;
   Number *forces[] = {w.f, w.g, w.a};
   nodes_of(s, state, &p, &v, &w);
   ends = moved(p, input->offset, w.ends, s->entries);
   end_rates = moved(v, input->offset_rate, w.end_rates, s->entries);
-  if (s->dimension == 2)
-    weighed_2(s, ends, end_rates, input->strings, some, count, weights, forces, &w);
-  else
-    weighed_3(s, ends, end_rates, input->strings, some, count, weights, forces, &w);
+  if (s->dimension == 2) weighed_2(s, ends, end_rates, input->strings, some, count, weights, forces, &w);
+  else weighed_3(s, ends, end_rates, input->strings, some, count, weights, forces, &w);
   memset(w.v, 0, s->entries * sizeof *w.v);
   for (int m = 0; m < count; ++m, to += s->free) {
     Number *a = s->free_row ? w.b : to;
@@ -219,27 +222,23 @@ SHARED void weighed_accelerations(const Scene *s, const Number *state, const Inp
 }
 
 SHARED void forces_of(const Scene *s, const Number *state, const Input *input, const Number *taut,
-               Number *forces, Number *work) {
+                      Number *forces, Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v;
   nodes_of(s, state, &p, &v, &w);
   p = moved(p, input->offset, w.ends, s->entries);
   v = moved(v, input->offset_rate, w.end_rates, s->entries);
-  if (s->dimension == 2)
-    forces_2(s, p, v, input, taut, forces, &w);
-  else
-    forces_3(s, p, v, input, taut, forces, &w);
+  if (s->dimension == 2) forces_2(s, p, v, input, taut, forces, &w);
+  else forces_3(s, p, v, input, taut, forces, &w);
 }
 
-SHARED void gap_of(const Scene *s, const Number *state, const Input *input, const Some *some,
-                   Number *gap, Number *rate, Number *work) {
+SHARED void gap_of(const Scene *s, const Number *state, const Input *input, const Some *some, Number *gap,
+                   Number *rate, Number *work) {
   const Work w = parts_of(s, work);
   const Number *p, *v;
   nodes_of(s, state, &p, &v, &w);
   p = moved(p, input->offset, w.ends, s->entries);
   v = moved(v, input->offset_rate, w.end_rates, s->entries);
-  if (s->dimension == 2)
-    gaps_2(s, p, v, input->strings, some, gap, rate, &w);
-  else
-    gaps_3(s, p, v, input->strings, some, gap, rate, &w);
+  if (s->dimension == 2) gaps_2(s, p, v, input->strings, some, gap, rate, &w);
+  else gaps_3(s, p, v, input->strings, some, gap, rate, &w);
 }

@@ -34,9 +34,8 @@ WIDE static void N(lengths)(const Scene *s, const Number *restrict S, const Numb
   for (int i = 0; i < count; ++i) N(pulling_length)(S + D * i, rest[i], length + i);
 }
 
-WIDE static void N(length_rates)(const Scene *s, const Number *restrict changes,
-                                 const Number *restrict S, const Number *restrict length,
-                                 Number *restrict rate) {
+WIDE static void N(length_rates)(const Scene *s, const Number *restrict changes, const Number *restrict S,
+                                 const Number *restrict length, Number *restrict rate) {
   const int count = s->segments;
   for (int i = 0; i < count; ++i) N(length_rate)(S + D * i, changes + D * i, length[i], rate + i);
 }
@@ -45,8 +44,8 @@ WIDE static void N(length_rates)(const Scene *s, const Number *restrict changes,
    which need not keep what is between. By the same operations as that below. The force on a node that
    strings begin at one after another stays in registers: numbers that are stored and read again wait
    for each other. */
-static void N(pull_one_by_one)(const Scene *s, int first, const Number *p, const Number *v,
-                               const Number *u, const Number *taut, Number *restrict f) {
+static void N(pull_one_by_one)(const Scene *s, int first, const Number *p, const Number *v, const Number *u,
+                               const Number *taut, Number *restrict f) {
   const int is_held = s->law == FORCE_DENSITY_HELD;
   for (int i = first; i < s->segments;) {
     const int start = s->segment_start[i];
@@ -76,8 +75,8 @@ static void N(pull_one_by_one)(const Scene *s, int first, const Number *p, const
 }
 
 /* Adds the pull of the strings to the forces on nodes. */
-static void N(pull)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                    const Number *taut, Number *restrict f, const Work *w) {
+static void N(pull)(const Scene *s, const Number *p, const Number *v, const Number *u, const Number *taut,
+                    Number *restrict f, const Work *w) {
   const int count = s->segments;
   const int32_t *restrict start = s->segment_start, *restrict end = s->segment_end;
   Number *restrict S = w->S, *restrict length = w->length, *restrict rate = w->rate;
@@ -119,8 +118,8 @@ static void N(pull)(const Scene *s, const Number *p, const Number *v, const Numb
   }
 }
 
-static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v,
-                     const Number *taut, Number *f) {
+static void N(touch)(const Scene *s, int plane, const Number *p, const Number *v, const Number *taut,
+                     Number *f) {
   const Ground *g = s->ground + plane;
   const Number *own = numbers(s->ground_numbers) + GROUND_NUMBERS * plane;
   Number normal[D];
@@ -184,10 +183,8 @@ static void N(coupled)(const Scene *s, const Number *p, const Number *v, const N
 
 /* Accelerations of the ends of free bars that share no nodes. */
 static void N(free_bars)(const Scene *s, const Number *restrict p, const Number *restrict v,
-                         const Number *restrict f, const Number *restrict extension,
-                         Number *restrict a) {
-  for (int i = TAKES_SEVERAL ? N(free_bars_by_avx2)(s, p, v, f, extension, a) : 0; i < s->free_bars;
-       ++i) {
+                         const Number *restrict f, const Number *restrict extension, Number *restrict a) {
+  for (int i = TAKES_SEVERAL ? N(free_bars_by_avx2)(s, p, v, f, extension, a) : 0; i < s->free_bars; ++i) {
     const int start = s->bar_start[i], end = s->bar_end[i];
     Number bar[D], rate[D];
     N(difference)(p, start, end, bar);
@@ -199,8 +196,7 @@ static void N(free_bars)(const Scene *s, const Number *restrict p, const Number 
 
 /* The same of the tips of bars at hinges. */
 static void N(swinging_bars)(const Scene *s, const Number *restrict p, const Number *restrict v,
-                             const Number *restrict f, const Number *restrict extension,
-                             Number *restrict a) {
+                             const Number *restrict f, const Number *restrict extension, Number *restrict a) {
   for (int i = 0; i < s->swinging_bars; ++i) {
     Number bar[D], rate[D];
     N(difference)(p, s->hinge[i], s->tip[i], bar);
@@ -213,13 +209,12 @@ static void N(swinging_bars)(const Scene *s, const Number *restrict p, const Num
 /* Accelerations of all entries; those that supports hold are left as they are. `extension` is null
    where lengths of bars are constant. */
 static void N(accelerations)(const Scene *s, const Number *restrict p, const Number *restrict v,
-                             const Number *restrict f, const Number *restrict extension,
-                             Number *restrict a, const Work *w) {
+                             const Number *restrict f, const Number *restrict extension, Number *restrict a,
+                             const Work *w) {
   N(free_bars)(s, p, v, f, extension, a);
   N(swinging_bars)(s, p, v, f, extension, a);
   for (int i = 0; i < s->points; ++i)
-    for (int k = 0; k < D; ++k)
-      a[s->point[i] + k] = f[s->point[i] + k] * numbers(s->point_inverse_mass)[i];
+    for (int k = 0; k < D; ++k) a[s->point[i] + k] = f[s->point[i] + k] * numbers(s->point_inverse_mass)[i];
   if (s->block_bars) N(coupled)(s, p, v, f, extension, a, w);
 }
 
@@ -233,22 +228,20 @@ static void N(bar_densities)(const Scene *s, const Number *p, const Number *v, c
     const int start = s->bar_start[i], end = s->bar_end[i], j = s->free_bar[i];
     N(difference)(p, start, end, bar);
     N(difference)(v, start, end, rate);
-    N(free_bar_force_density)(bar, rate, extension[j], f + start, f + end,
-                                     all(s->bar_mass[j]), density + j);
+    N(free_bar_force_density)(bar, rate, extension[j], f + start, f + end, all(s->bar_mass[j]), density + j);
   }
   for (int i = 0; i < s->swinging_bars; ++i) {
     const int tip = s->tip[i], j = s->swinging_bar[i];
     N(difference)(p, s->hinge[i], tip, bar);
     N(difference)(v, s->hinge[i], tip, rate);
-    N(swinging_bar_force_density)(bar, rate, extension[j], f + tip, all(s->bar_mass[j]),
-                                         density + j);
+    N(swinging_bar_force_density)(bar, rate, extension[j], f + tip, all(s->bar_mass[j]), density + j);
   }
   for (int i = 0; i < s->block_bars; ++i) density[s->block_bar[i]] = -w->unknowns[s->right_place[i]];
 }
 
 /* Adds the pull of some strings by each of their weights. */
-static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                       const Some *some, int count, const Number *weights, Number **forces) {
+static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const Number *u, const Some *some,
+                       int count, const Number *weights, Number **forces) {
   for (int j = 0; j < some->count && some->which[j] < s->slacking; ++j) {
     const int i = some->which[j], start = s->segment_start[i], end = s->segment_end[i];
     const Number stiffness = numbers(s->stiffness)[i], damping = numbers(s->damping)[i];
@@ -270,8 +263,7 @@ static void N(pull_by)(const Scene *s, const Number *p, const Number *v, const N
 
 /* Forces of what switches, counted by each of its weights. */
 static void N(weighed)(const Scene *s, const Number *ends, const Number *rates, const Number *u,
-                       const Some *some, int count, const Number *weights, Number **forces,
-                       const Work *w) {
+                       const Some *some, int count, const Number *weights, Number **forces, const Work *w) {
   for (int m = 0; m < count; ++m) memset(forces[m], 0, s->entries * sizeof(Number));
   if (s->slacking && !s->clustered) N(pull_by)(s, ends, rates, u, some, count, weights, forces);
   for (int m = 0; m < count; ++m) {
@@ -284,8 +276,8 @@ static void N(weighed)(const Scene *s, const Number *ends, const Number *rates, 
 }
 
 /* The gap of one string, and its rate where rates are asked for. */
-static inline void N(gap_of_string)(const Scene *s, int i, const Number *p, const Number *v,
-                                    const Number *u, Number *gap, Number *rate) {
+static inline void N(gap_of_string)(const Scene *s, int i, const Number *p, const Number *v, const Number *u,
+                                    Number *gap, Number *rate) {
   const int start = s->segment_start[i], end = s->segment_end[i];
   const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
   Number segment[D], change[D], length;
@@ -299,14 +291,14 @@ static inline void N(gap_of_string)(const Scene *s, int i, const Number *p, cons
 }
 
 /* Gaps of some strings. */
-static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                       const Some *some, Number *gap, Number *rate) {
+static void N(gaps_of)(const Scene *s, const Number *p, const Number *v, const Number *u, const Some *some,
+                       Number *gap, Number *rate) {
   for (int j = 0; j < some->count && some->which[j] < s->slacking; ++j)
     N(gap_of_string)(s, some->which[j], p, v, u, gap, rate);
 }
 
-static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Number *u,
-                    const Some *some, Number *gap, Number *rate, const Work *w) {
+static void N(gaps)(const Scene *s, const Number *p, const Number *v, const Number *u, const Some *some,
+                    Number *gap, Number *rate, const Work *w) {
   if (s->slacking && some && !s->clustered) {
     N(gaps_of)(s, p, v, u, some, gap, rate);
   } else if (s->slacking && TAKES_SEVERAL && !s->clustered) {

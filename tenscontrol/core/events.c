@@ -171,9 +171,8 @@ SHARED Number missed_switches(Span *span, const Tried *step) {
 }
 
 /* The polynomials of degree 5 with positions, velocities and accelerations at both ends. */
-WIDE static void path_by(const Number *restrict x, const Number *restrict x1,
-                         const Number *restrict slope, const Number *restrict slope1, Number h,
-                         Number *restrict c, int half) {
+WIDE static void path_by(const Number *restrict x, const Number *restrict x1, const Number *restrict slope,
+                         const Number *restrict slope1, Number h, Number *restrict c, int half) {
   for (int i = 0; i < half; ++i) {
     const Number q0 = x[i], v0 = h * x[half + i], q1 = x1[i], v1 = h * x1[half + i];
     const Number a0 = h * h * slope[half + i], a1 = h * h * slope1[half + i];
@@ -188,8 +187,7 @@ WIDE static void path_by(const Number *restrict x, const Number *restrict x1,
 }
 
 SHARED void make_path(Span *span, const Tried *step) {
-  path_by(step->x, step->x1, step->slope, step->slope1, step->h, span->coefficients,
-          span->states / 2);
+  path_by(step->x, step->x1, step->slope, step->slope1, step->h, span->coefficients, span->states / 2);
 }
 
 /* Positions at a part of a step. */
@@ -307,12 +305,11 @@ SHARED Cut first_switch(Span *span, Truth meant, const Tried *step, Number allow
     Truth is_settled = all(0) > 1;
     low = all(0), high = all(1);
     list(span, span->marked);
-    for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS) && any(is_settled == 0);
-         ++i) {
+    for (int i = 0; i < (span->scene->grounds ? ZOOMS_ON_GROUND : ZOOMS) && any(is_settled == 0); ++i) {
       Number from = low, to = high, out = all(0);
       const Truth is_out = zoom(span, step, &from, &to, &out);
       low = choice(is_settled, low, from), high = choice(is_settled, high, to);
-      cut.found = meant & (is_settled | is_out); /* what is settled is found */
+      cut.found = meant & (is_settled | is_out);         /* what is settled is found */
       if (i >= ZOOMS) is_settled |= is_out & (out == 1); /* nothing else can be first */
     }
     rooms_at(span, step, low, 0, inside);
@@ -384,8 +381,7 @@ SHARED Number approach(Span *span, const Tried *step, Cut cut, Place *place, voi
     fraction = choice(going, smaller(larger(only(speed < 0, wanted), all(0)), all(1)), fraction);
     place(by, fraction, x);
     gaps_at(span, x, step->time + fraction * step->h, some, span->gap);
-    for (int j = 0; j < some->count; ++j)
-      span->gap[some->which[j]] *= sign_of(step->taut[some->which[j]]);
+    for (int j = 0; j < some->count; ++j) span->gap[some->which[j]] *= sign_of(step->taut[some->which[j]]);
     gap = mean_of_chosen(span, span->gap);
     /* The gap of a damped string has a kink next to the border: the tension falls fast up to it,
        and beyond it is the stretch that counts. Where it is flat between two places beyond, the

@@ -20,14 +20,12 @@ static inline int has_avx512(void) {
 #endif
 
 typedef void AdvanceRuns(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                         const Settings *settings, const Runs *runs, const double *start,
-                         double *states, Progress *progress, const volatile int32_t *stop,
-                         double *work);
-typedef void BeginRuns(const Scene *scene, const Drive *drive, const Runs *runs,
-                       const double *start, const double *difference, const double *vector,
-                       double *frequency, double *force, double *slope, double *taut, double *work);
-typedef size_t RunsSize(const Scene *scene, const Drive *drive, const Settings *settings,
-                        const Runs *runs);
+                         const Settings *settings, const Runs *runs, const double *start, double *states,
+                         Progress *progress, const volatile int32_t *stop, double *work);
+typedef void BeginRuns(const Scene *scene, const Drive *drive, const Runs *runs, const double *start,
+                       const double *difference, const double *vector, double *frequency, double *force,
+                       double *slope, double *taut, double *work);
+typedef size_t RunsSize(const Scene *scene, const Drive *drive, const Settings *settings, const Runs *runs);
 
 AdvanceRuns advance_by_all, advance_by_avx2, advance_by_avx512;
 BeginRuns begin_by_all, begin_by_avx2, begin_by_avx512;

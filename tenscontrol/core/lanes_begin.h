@@ -2,14 +2,13 @@
 
 /* Memory: states and what is a run's own, slopes, what pulls, forces, and that of the frequency. */
 static size_t begin_runs_size(const Scene *scene, const Drive *drive, const Runs *runs) {
-  return table_size(scene, drive, runs, 1) + 4 * (size_t)scene->free + scene->switches +
-         scene->entries + frequency_size(scene) + shared_size(scene, drive, runs);
+  return table_size(scene, drive, runs, 1) + 4 * (size_t)scene->free + scene->switches + scene->entries +
+         frequency_size(scene) + shared_size(scene, drive, runs);
 }
 
-void LANES_NAME(begin)(const Scene *scene, const Drive *drive, const Runs *runs,
-                       const double *start, const double *difference, const double *vector,
-                       double *frequency, double *force, double *slope, double *taut,
-                       double *work) {
+void LANES_NAME(begin)(const Scene *scene, const Drive *drive, const Runs *runs, const double *start,
+                       const double *difference, const double *vector, double *frequency, double *force,
+                       double *slope, double *taut, double *work) {
   const int n = 2 * scene->free, m = scene->switches;
   Batch batch;
   Number *own = share(&batch, scene, drive, 0, runs, aligned(work));

@@ -17,10 +17,10 @@ typedef struct {
   Dop853 method;
   int size, moving, own; /* numbers of a group, those that steps change, and these with a run's own */
   int gathered;          /* those of a step that is tried, too */
-  Number *groups;             /* one more for those that are gathered */
-  int next, count;            /* the next run to begin, and runs at work */
-  int run[PLACES];            /* at each place */
-  const int *in_lanes;        /* of the group at hand */
+  Number *groups;        /* one more for those that are gathered */
+  int next, count;       /* the next run to begin, and runs at work */
+  int run[PLACES];       /* at each place */
+  const int *in_lanes;   /* of the group at hand */
 } Pool;
 
 static Number *group_at(const Pool *pool, int place) {
@@ -158,8 +158,7 @@ static void change_runs(Pool *pool) {
       begin_run(pool, pool->next++, place);
     } else {
       const int last = --pool->count;
-      copy_lane(group_at(pool, last), last % WIDTH, group_at(pool, place), place % WIDTH,
-                pool->gathered);
+      copy_lane(group_at(pool, last), last % WIDTH, group_at(pool, place), place % WIDTH, pool->gathered);
       pool->run[place] = pool->run[last];
     }
   }
@@ -179,9 +178,9 @@ static size_t dop853_runs_size(const Scene *scene, const Drive *drive, const Run
 }
 
 static void advance_runs_by_dop853(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                                   const Settings *settings, const Runs *runs,
-                                   const double *start, double *states, Progress *progress,
-                                   const volatile int32_t *stop, double *work) {
+                                   const Settings *settings, const Runs *runs, const double *start,
+                                   double *states, Progress *progress, const volatile int32_t *stop,
+                                   double *work) {
   const int n = 2 * scene->free;
   Pool pool;
   Number *rest;
@@ -193,8 +192,8 @@ static void advance_runs_by_dop853(const Scene *scene, const Drive *drive, const
   pool.own = pool.moving + n + (int)table_size(scene, drive, runs, 1);
   pool.gathered = pool.size - MORE_STAGES * n;
   pool.groups = aligned(work);
-  rest = share(&pool.batch, scene, drive, lengths, runs,
-               pool.groups + (size_t)(GROUPS_AT_WORK + 1) * pool.size);
+  rest =
+      share(&pool.batch, scene, drive, lengths, runs, pool.groups + (size_t)(GROUPS_AT_WORK + 1) * pool.size);
   pool.method = dop853_of(&pool.batch.span, settings, emit_to_rows, &pool, rest);
   pool.count = pool.next = runs->count < PLACES ? runs->count : PLACES;
   /* A lane that no run is left for repeats the last one. */

@@ -49,8 +49,7 @@ static void turn_to(Many *many, Number *numbers) {
 
 /* Lays out all runs in memory; a lane that no run is left for repeats the last one. */
 static Number *lay_out(Many *many, const Scene *scene, const Drive *drive, const Lengths *lengths,
-                       const Settings *settings, const Runs *runs, const double *start,
-                       Number *work) {
+                       const Settings *settings, const Runs *runs, const double *start, Number *work) {
   const int n = 2 * scene->free, m = scene->switches;
   Span *span = &many->batch.span;
   many->states = n;
@@ -96,8 +95,7 @@ static int step_groups(Many *many, int begin, int end, double time, double h, Pr
     }
     if (any(*g.crossed > 0))
       for (int k = 0; k < many->states; ++k) g.x[k] = choice(*g.crossed > 0, g.x[k], g.x1[k]);
-    else
-      memcpy(g.x, g.x1, many->states * sizeof(Number));
+    else memcpy(g.x, g.x1, many->states * sizeof(Number));
   }
   return waiting;
 }
@@ -126,8 +124,7 @@ static int cut_some(Many *many, int cuts, double rest, int some, const int *runs
   *g.left = method->left -= landing.taken;
   going = *g.left > rest;
   *g.crossed = any(going) ? only(going, take_whole(method)) : all(0);
-  for (int k = 0; k < many->states; ++k)
-    g.x[k] = choice(going & (*g.crossed == 0), g.x1[k], g.x[k]);
+  for (int k = 0; k < many->states; ++k) g.x[k] = choice(going & (*g.crossed == 0), g.x1[k], g.x[k]);
   for (int i = 0; i < some; ++i) {
     const int run = runs[i];
     count(&landing, i, progress + run);
@@ -139,8 +136,8 @@ static int cut_some(Many *many, int cuts, double rest, int some, const int *runs
 }
 
 /* Enters what the runs of a group have come to; returns how many are not finite and end. */
-static int end_step(const Many *many, const FixedSteps *steps, int64_t done, int first,
-                    double *states, Progress *progress) {
+static int end_step(const Many *many, const FixedSteps *steps, int64_t done, int first, double *states,
+                    Progress *progress) {
   const Group g = group_of(many, numbers_of(many, first));
   const int n = many->states;
   int ended = 0;
@@ -152,8 +149,7 @@ static int end_step(const Many *many, const FixedSteps *steps, int64_t done, int
     progress[i].time = (double)(done + 1) * steps->h;
     progress[i].stuck = lane(&zero, i) != 0;
     ended += progress[i].stuck;
-    if (!progress[i].stuck && (done + 1) % steps->inner == 0)
-      take_row(g.x, i, n, states, row);
+    if (!progress[i].stuck && (done + 1) % steps->inner == 0) take_row(g.x, i, n, states, row);
   }
   return ended;
 }

@@ -73,8 +73,7 @@ static inline void put_own(Batch *batch, int run, Number *own, int i) {
   tables_of(&batch->scene, &batch->drive, batch->runs, tables);
   for (int j = 0; j < TABLES; ++j)
     if (tables[j].rows)
-      for (size_t k = 0; k < tables[j].count; ++k)
-        put(tables[j].rows[run * tables[j].count + k], own++, i);
+      for (size_t k = 0; k < tables[j].count; ++k) put(tables[j].rows[run * tables[j].count + k], own++, i);
 }
 
 /* Makes the scene that of the runs of which this is their own. */

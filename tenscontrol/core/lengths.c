@@ -5,8 +5,8 @@
 #include "motion.h"
 
 /* Scales the vector from one end of a bar to its length, and removes what its rate has along it. */
-static inline void restore(const Number *bar, const Number *rate, Number length, int d,
-                           Number *new_bar, Number *new_rate) {
+static inline void restore(const Number *bar, const Number *rate, Number length, int d, Number *new_bar,
+                           Number *new_rate) {
   Number square = all(0), along = all(0), scale;
   for (int k = 0; k < d; ++k) {
     square += bar[k] * bar[k];
@@ -28,8 +28,7 @@ static inline Number length_of(const Input *input, const int32_t *bars, int i, c
 static inline void stretch(const Input *input, const int32_t *bars, int i, int d, const Number *bar,
                            Number *rate) {
   if (!input->length) return;
-  for (int k = 0; k < d; ++k)
-    rate[k] += bar[k] * (input->length_rate[bars[i]] / input->length[bars[i]]);
+  for (int k = 0; k < d; ++k) rate[k] += bar[k] * (input->length_rate[bars[i]] / input->length[bars[i]]);
 }
 
 /* Puts bars that share no nodes on their lengths: the nearest state in the metric of the mass.
@@ -46,8 +45,7 @@ static inline void restore_alone(Span *span, const Input *input, int d, Number *
       bar[k] = b[k] - a[k];
       rate[k] = b[free + k] - a[free + k];
     }
-    restore(bar, rate, length_of(input, s->free_bar, i, span->lengths->bar_length), d, new_bar,
-            new_rate);
+    restore(bar, rate, length_of(input, s->free_bar, i, span->lengths->bar_length), d, new_bar, new_rate);
     stretch(input, s->free_bar, i, d, new_bar, new_rate);
     for (int k = 0; k < d; ++k) {
       const Number centre = (a[k] + b[k]) / 2, speed = (a[free + k] + b[free + k]) / 2;
@@ -62,8 +60,8 @@ static inline void restore_alone(Span *span, const Input *input, int d, Number *
     const Number *hinge = numbers(s->place) + s->hinge[i];
     Number bar[3], new_bar[3], new_rate[3];
     for (int k = 0; k < d; ++k) bar[k] = b[k] - hinge[k];
-    restore(bar, b + free, length_of(input, s->swinging_bar, i, span->lengths->tip_length), d,
-            new_bar, new_rate);
+    restore(bar, b + free, length_of(input, s->swinging_bar, i, span->lengths->tip_length), d, new_bar,
+            new_rate);
     stretch(input, s->swinging_bar, i, d, new_bar, new_rate);
     for (int k = 0; k < d; ++k) {
       b[k] = hinge[k] + new_bar[k];
@@ -84,10 +82,8 @@ static void spread_all(const Scene *s, const Number *free, int are_places, Numbe
     memcpy(to, free, s->entries * sizeof *to);
     return;
   }
-  if (are_places)
-    memcpy(to, s->place, s->entries * sizeof *to);
-  else
-    memset(to, 0, s->entries * sizeof *to);
+  if (are_places) memcpy(to, s->place, s->entries * sizeof *to);
+  else memset(to, 0, s->entries * sizeof *to);
   for (int i = 0; i < s->free; ++i) to[s->free_row[i]] = free[i];
 }
 
@@ -187,13 +183,12 @@ static void turn(const Body *body, const Number *before, Number *x, int free, in
     lost[i] = old.momentum[i] - new.momentum[i];
     trace += new.spread[i][i] - new.mass * centre[i] * centre[i];
   }
-  if (d == 2)
-    turn[2] = lost[2] / trace;
+  if (d == 2) turn[2] = lost[2] / trace;
   else {
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j)
-        inertia[i][j] = (i == j ? (1 + 1e-12) * trace : all(0)) -
-                        (new.spread[i][j] - new.mass * centre[i] * centre[j]);
+        inertia[i][j] =
+            (i == j ? (1 + 1e-12) * trace : all(0)) - (new.spread[i][j] - new.mass * centre[i] * centre[j]);
     solve3(inertia, lost, turn);
   }
   for (int i = 0; i < body->nodes; ++i) {

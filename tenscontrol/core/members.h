@@ -16,8 +16,8 @@ typedef int PullMembers(const Scene *scene, const double *p, const double *v, co
 PullMembers pull_by_avx2_2, pull_by_avx2_3;
 
 /* Finds the gaps of such strings, and their rates where there is memory for them. */
-typedef int MeasureMembers(const Scene *scene, const double *p, const double *v, const double *u,
-                           double *gap, double *rate);
+typedef int MeasureMembers(const Scene *scene, const double *p, const double *v, const double *u, double *gap,
+                           double *rate);
 MeasureMembers gaps_by_avx2_2, gaps_by_avx2_3;
 
 /* Finds accelerations of the ends of bars that share no nodes. */

@@ -7,8 +7,7 @@
 /* How much earlier rates are read than they begin. */
 #define EARLIER (WIDTH - D)
 
-static inline void N(rates_apart)(const double *v, const int32_t *from, const int32_t *to,
-                                  Number *column) {
+static inline void N(rates_apart)(const double *v, const int32_t *from, const int32_t *to, Number *column) {
   Number rows[WIDTH], read[WIDTH];
   apart(v - EARLIER, from, to, rows);
   columns(rows, read);
@@ -32,9 +31,9 @@ static inline void N(end_forces)(const Number *forces, int nodes, double *f) {
 
 /* Adds the pull of strings by a law. It is compiled once for each common one: a law that is asked for
    in every group takes an eighth more. */
-__attribute__((always_inline)) static inline int N(pull_by)(
-    StringLaw law, const Scene *s, const double *p, const double *v, const double *u,
-    const double *taut, double *forces) {
+__attribute__((always_inline)) static inline int N(pull_by)(StringLaw law, const Scene *s, const double *p,
+                                                            const double *v, const double *u,
+                                                            const double *taut, double *forces) {
   int i = 0;
   for (; i + WIDTH <= s->segments; i += WIDTH) {
     const int32_t *start = s->segment_start + i, *end = s->segment_end + i;
@@ -64,18 +63,16 @@ __attribute__((always_inline)) static inline int N(pull_by)(
   return i;
 }
 
-int N(pull_by_avx2)(const Scene *s, const double *p, const double *v, const double *u,
-                    const double *taut, const double *load, double *f, double *work) {
+int N(pull_by_avx2)(const Scene *s, const double *p, const double *v, const double *u, const double *taut,
+                    const double *load, double *f, double *work) {
   const int nodes = s->entries / D;
   const StringLaw law = law_of(s), linear = {LINEAR_STRINGS, 0}, elastic = {ELASTIC_STRINGS, 0};
   int done;
   N(begin_forces)(load, nodes, (Number *)work);
-  if (law.kind == LINEAR_STRINGS && !law.is_damped && taut)
-    done = N(pull_by)(linear, s, p, v, u, taut, work);
+  if (law.kind == LINEAR_STRINGS && !law.is_damped && taut) done = N(pull_by)(linear, s, p, v, u, taut, work);
   else if (law.kind == ELASTIC_STRINGS && !law.is_damped && taut)
     done = N(pull_by)(elastic, s, p, v, u, taut, work);
-  else
-    done = N(pull_by)(law, s, p, v, u, taut, work);
+  else done = N(pull_by)(law, s, p, v, u, taut, work);
   N(end_forces)((const Number *)work, nodes, f);
   return done;
 }
@@ -96,16 +93,14 @@ int N(gaps_by_avx2)(const Scene *s, const double *p, const double *v, const doub
       N(length_rate)(segment, change, length, &own);
       *(Number *)(rate + i) = own;
     }
-    *(Number *)(gap + i) =
-        string_gap(law, row(s->stiffness + i), row(s->damping + i), length, own, rest);
+    *(Number *)(gap + i) = string_gap(law, row(s->stiffness + i), row(s->damping + i), length, own, rest);
   }
   return i;
 }
 
 /* The vectors of nodes, number by number: those that were stored just before by others are had sooner. */
 static inline void N(gather)(const double *x, const int32_t *at, Number *column) {
-  for (int k = 0; k < D; ++k)
-    column[k] = (Number){x[at[0] + k], x[at[1] + k], x[at[2] + k], x[at[3] + k]};
+  for (int k = 0; k < D; ++k) column[k] = (Number){x[at[0] + k], x[at[1] + k], x[at[2] + k], x[at[3] + k]};
 }
 
 static inline void N(scatter)(const Number *column, const int32_t *at, double *x) {
@@ -126,8 +121,7 @@ int N(free_bars_by_avx2)(const Scene *s, const double *p, const double *v, const
     const int32_t *start = s->bar_start + i, *end = s->bar_end + i;
     Number rows[WIDTH], bar[WIDTH], constants[WIDTH], rate[D], on_start[D], on_end[D], from[D], to[D];
     Number lengthening = all(0);
-    for (int j = 0; j < WIDTH; ++j)
-      rows[j] = row(s->bar_constants + FREE_BAR_2_CONSTANTS * (i + j));
+    for (int j = 0; j < WIDTH; ++j) rows[j] = row(s->bar_constants + FREE_BAR_2_CONSTANTS * (i + j));
     columns(rows, constants);
     apart(p, start, end, rows);
     columns(rows, bar);

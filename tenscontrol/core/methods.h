@@ -27,8 +27,8 @@ double *next_output(Kept *kept);
 void write_outputs(Kept *kept);
 void keep_step(Kept *kept, Progress *now, double time, const double *x, const double *taut);
 
-int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x,
-                   double *taut, double *work);
+int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x, double *taut,
+                   double *work);
 int advance_by_dop853(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x,
                       double *slope, double *taut, double *work);
 #endif

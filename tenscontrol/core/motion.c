@@ -10,8 +10,8 @@ size_t tc_motion_work_size(const Scene *s, const Drive *drive) {
   return span_size(s, drive) + METHOD_STATES * 2 * (size_t)s->free + s->entries;
 }
 
-void tc_slope(const Scene *s, const Drive *drive, const double *state, const double *taut,
-              double *slope, double *work) {
+void tc_slope(const Scene *s, const Drive *drive, const double *state, const double *taut, double *slope,
+              double *work) {
   Span span;
   begin(&span, s, drive, 0, work);
   slope_at(&span, state, 0, taut, slope);
@@ -32,8 +32,7 @@ void tc_taut(const Scene *s, const Drive *drive, const double *state, double *ta
 }
 
 /* What a span by dop853 begins with; see `tc_begin`. */
-static double begin_dop853(Span *span, const double *state, double *taut, double *slope,
-                           double *forces) {
+static double begin_dop853(Span *span, const double *state, double *taut, double *slope, double *forces) {
   const Scene *s = span->scene;
   const Input input = input_at(span, 0);
   double largest = 0, not_finite = 0;
@@ -56,8 +55,7 @@ double tc_begin(const Scene *s, const Drive *drive, const double *state, double 
   return begin_dop853(&span, state, taut, slope, forces);
 }
 
-void tc_restore(const Scene *s, const Drive *drive, const Lengths *lengths, double *state,
-                double *work) {
+void tc_restore(const Scene *s, const Drive *drive, const Lengths *lengths, double *state, double *work) {
   Span span;
   begin(&span, s, drive, lengths, work);
   restore_bars(&span, state, 0);
@@ -103,34 +101,40 @@ void keep_step(Kept *kept, Progress *now, double time, const double *x, const do
   memcpy(kept->step_states + now->kept++ * n, x, n * sizeof *x);
 }
 
-int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                   const Settings *settings, Progress *progress, double *state, double *slope,
-                   double *taut, double *states, double *step_times, double *step_states,
-                   double *step_taut, double *work) {
+int32_t tc_advance(const Scene *scene, const Drive *drive, const Lengths *lengths, const Settings *settings,
+                   Progress *progress, double *state, double *slope, double *taut, double *states,
+                   double *step_times, double *step_states, double *step_taut, double *work) {
   Span span;
   double *rest = begin(&span, scene, drive, settings->projects ? lengths : 0, work);
   const int n = span.states;
-  Kept kept = {states, step_times, step_states, settings->traces ? step_taut : 0,
+  Kept kept = {states,
+               step_times,
+               step_states,
+               settings->traces ? step_taut : 0,
                rest + (size_t)(METHOD_STATES - GATHERED) * n,
-               n, span.switches, settings->outputs + 1, 0, 0, settings->room};
+               n,
+               span.switches,
+               settings->outputs + 1,
+               0,
+               0,
+               settings->room};
   int done;
   if (settings->method == DOP853_METHOD)
     done = advance_by_dop853(&span, settings, progress, &kept, state, slope, taut, rest);
-  else
-    done = advance_by_rk4(&span, settings, progress, &kept, state, taut, rest);
+  else done = advance_by_rk4(&span, settings, progress, &kept, state, taut, rest);
   write_outputs(&kept);
   return done;
 }
 
 /* What the steps of dop853 may err, and how long they are, from a state: the rules of
    integrator.scale_under and dop853.steps_of. */
-static void set_steps(const Spans *spans, int half, const double *state, double force,
-                      const double *slope, double *scale, Settings *settings) {
+static void set_steps(const Spans *spans, int half, const double *state, double force, const double *slope,
+                      double *scale, Settings *settings) {
   const double duration = settings->duration;
   double fastest = 0, speed, rate = 0;
   for (int i = half; i < 2 * half; ++i) fastest = fmax(fabs(state[i]), fastest);
-  speed = fmax(fmax(fastest, sqrt(force * spans->length / spans->mass)),
-               1e-3 * spans->length * spans->frequency);
+  speed =
+      fmax(fmax(fastest, sqrt(force * spans->length / spans->mass)), 1e-3 * spans->length * spans->frequency);
   if (!(speed > 0)) speed = spans->length;
   for (int i = 0; i < 2 * half; ++i) {
     scale[i] = i < half ? spans->length : speed;
@@ -149,9 +153,9 @@ void tc_start(const Scene *scene, const Drive *drive, const Spans *rules, Settin
 }
 
 int32_t tc_advance_spans(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                         const Settings *settings, const Spans *spans, Progress *progress,
-                         double *state, double *states, double *step_times, double *step_states,
-                         double *step_taut, double *work) {
+                         const Settings *settings, const Spans *spans, Progress *progress, double *state,
+                         double *states, double *step_times, double *step_states, double *step_taut,
+                         double *work) {
   const size_t numbers = (size_t)drive->count * (drive->degree + 1), m = scene->switches;
   const size_t n = 2 * (size_t)scene->free;
   Settings own = *settings;
@@ -162,9 +166,17 @@ int32_t tc_advance_spans(const Scene *scene, const Drive *drive, const Lengths *
   double *taut = scale + n;
   for (int k = 0; k < spans->count; ++k) {
     Progress *now = progress + k;
-    Kept kept = {states, step_times, step_states, settings->traces ? step_taut : 0,
+    Kept kept = {states,
+                 step_times,
+                 step_states,
+                 settings->traces ? step_taut : 0,
                  rest + (METHOD_STATES - GATHERED) * n,
-                 (int)n, (int)m, spans->outputs[k] + 1, 0, 0, own.room};
+                 (int)n,
+                 (int)m,
+                 spans->outputs[k] + 1,
+                 0,
+                 0,
+                 own.room};
     int done;
     held.coefficients = spans->inputs + (numbers + (held.degree > 0)) * k;
     if (held.degree) held.begin = held.coefficients[numbers];

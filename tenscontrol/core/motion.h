@@ -25,16 +25,16 @@ typedef struct {
   const Drive *drive;
   const Lengths *lengths; /* null where bars are left as they are */
   int states, switches;
-  Number *values, *rates; /* inputs at one time, and their rates in time */
-  Number *extension;      /* of driven bars */
-  Number *work;           /* of the equation */
+  Number *values, *rates;              /* inputs at one time, and their rates in time */
+  Number *extension;                   /* of driven bars */
+  Number *work;                        /* of the equation */
   Number *gap, *rate, *middle, *scale; /* of the search for switches */
-  Number *restored; /* of bars that are put on their lengths */
+  Number *restored;                    /* of bars that are put on their lengths */
   Number *coefficients, *rooms, *inside, *outside, *chosen, *leaving, *within, *marked;
   Number *gap0, *gap1; /* at both ends of the step that was searched last */
   int goes_on;         /* whether the next step to be searched begins at its end */
   Some some;           /* those that were listed last */
-  Number *carried; /* of switches in steps that are not cut */
+  Number *carried;     /* of switches in steps that are not cut */
 } Span;
 
 /* Of equation.c: memory of one evaluation; by inputs at one time xdot, where what pulls and presses is
@@ -44,17 +44,17 @@ typedef struct {
    rates of gaps need not be asked for. Where lengths are driven, xdot with the force densities of all
    bars, N/m: of bars that are redundant, those of a set that holds the others. */
 SHARED size_t equation_work_size(const Scene *scene);
-SHARED void slope_of(const Scene *scene, const Number *state, const Input *input,
-                     const Number *taut, Number *slope, Number *work);
+SHARED void slope_of(const Scene *scene, const Number *state, const Input *input, const Number *taut,
+                     Number *slope, Number *work);
 SHARED void weighed_accelerations(const Scene *scene, const Number *state, const Input *input,
                                   const Some *some, int count, const Number *weights, Number *to,
                                   Number *work);
-SHARED void forces_of(const Scene *scene, const Number *state, const Input *input,
-                      const Number *taut, Number *forces, Number *work);
-SHARED void slope_and_bars(const Scene *scene, const Number *state, const Input *input,
-                           const Number *taut, Number *slope, Number *density, Number *work);
-SHARED void gap_of(const Scene *scene, const Number *state, const Input *input,
-                   const Some *some, Number *gap, Number *rate, Number *work);
+SHARED void forces_of(const Scene *scene, const Number *state, const Input *input, const Number *taut,
+                      Number *forces, Number *work);
+SHARED void slope_and_bars(const Scene *scene, const Number *state, const Input *input, const Number *taut,
+                           Number *slope, Number *density, Number *work);
+SHARED void gap_of(const Scene *scene, const Number *state, const Input *input, const Some *some, Number *gap,
+                   Number *rate, Number *work);
 
 /* Of span.c: lays out a span in memory, and returns what is left of it. */
 SHARED size_t span_size(const Scene *scene, const Drive *drive);
@@ -62,8 +62,7 @@ SHARED Number *begin(Span *span, const Scene *scene, const Drive *drive, const L
                      Number *work);
 SHARED Input input_at(Span *span, Number time);
 SHARED void slope_at(Span *span, const Number *x, Number time, const Number *taut, Number *slope);
-SHARED void gap_at(Span *span, const Number *x, Number time, const Some *some, Number *gap,
-                   Number *rate);
+SHARED void gap_at(Span *span, const Number *x, Number time, const Some *some, Number *gap, Number *rate);
 
 /* Of frequency.c: the largest frequency of small motions about a state, rad/s, by power iteration that
    begins with a vector. */
@@ -112,7 +111,6 @@ SHARED Number switch_over(Span *span, Truth meant, const Number *x, Number time,
    leaves gaps at the end, and their rates, as `crossings` does. */
 enum { MANY_SWITCHES = 12 };
 SHARED size_t carry_size(const Scene *scene);
-SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut,
-                    Number *defect);
+SHARED Number carry(Span *span, Truth meant, const Tried *step, Number *x, Number *taut, Number *defect);
 
 #endif

@@ -6,8 +6,8 @@
 
 /* Places and rates of all nodes from their displacements; of each bar by its vector and rate before, the
    derivatives of what it is stretched by, and of that of the rate but for the first of them by the rate. */
-static void N(kept)(const Reduced *plant, const Number *moved, const Number *rates, Number *p,
-                    Number *v, Number *slopes) {
+static void N(kept)(const Reduced *plant, const Number *moved, const Number *rates, Number *p, Number *v,
+                    Number *slopes) {
   const int entries = plant->scene->entries;
   for (int i = 0; i < entries; ++i) p[i] = plant->place[i] + moved[i];
   memcpy(v, rates, entries * sizeof *v);
@@ -99,8 +99,8 @@ static void N(strings_at)(const Reduction *r, Number *density, Number *tension) 
 }
 
 /* Changes of rows of strings by places, and by rates where they are damped, in a block of columns. */
-static void N(strings_forward)(const Reduction *r, const double *x, const Rows *rows,
-                               Number *by_place, Number *by_rate) {
+static void N(strings_forward)(const Reduction *r, const double *x, const Rows *rows, Number *by_place,
+                               Number *by_rate) {
   const Scene *s = r->plant->scene;
   const Point *now = &r->now;
   const double *along = x, *turning = x + D * s->segments, *by = turning + D * s->segments;
@@ -109,9 +109,9 @@ static void N(strings_forward)(const Reduction *r, const double *x, const Rows *
   for (int i = 0; i < s->segments; ++i) {
     const int start = s->segment_start[i], end = s->segment_end[i], string = s->segment_string[i];
     Number S[D], rate = all(0);
-    now->string_length[string] += N(stretch_forward)(
-        along + D * i, s->damped ? turning + D * i : 0, now->p + start, now->p + end,
-        now->v + start, now->v + end, S, &rate);
+    now->string_length[string] +=
+        N(stretch_forward)(along + D * i, s->damped ? turning + D * i : 0, now->p + start, now->p + end,
+                           now->v + start, now->v + end, S, &rate);
     now->string_rate[string] += rate;
   }
   for (int i = 0; i < s->strings; ++i, by += STRING_SLOPES) {

@@ -19,8 +19,8 @@ typedef struct {
   Number *strings, *taut, *gap, *gap_rate, *x, *inner, *state, *input;
   /* Displacements and their rates, at a stage and of it, and accelerations. */
   Number *motion, *stage, *total;
-  int some, is_kept;              /* states in the lanes; whether their points are kept */
-  int in_lanes;                   /* the state whose changes these are */
+  int some, is_kept; /* states in the lanes; whether their points are kept */
+  int in_lanes;      /* the state whose changes these are */
   const Number *string_changes;
   const Changes *changes;
 } Reduction;
@@ -83,12 +83,9 @@ static void values_at(Reduction *r, int stage, const Number *moved, const Number
   const int is_plane = s->dimension == 2, chosen = plant->taut ? s->slacking : 0;
   if (is_plane) kept_2(plant, moved, rates, now->p, now->v, r->x + r->bars);
   else kept_3(plant, moved, rates, now->p, now->v, r->x + r->bars);
-  if (is_plane && chosen < s->switches)
-    gaps_2(s, now->p, now->v, r->strings, 0, r->gap, r->gap_rate, &w);
-  else if (chosen < s->switches)
-    gaps_3(s, now->p, now->v, r->strings, 0, r->gap, r->gap_rate, &w);
-  for (int i = chosen; i < s->switches; ++i)
-    r->taut[i] = truth(r->gap[i] > 0);
+  if (is_plane && chosen < s->switches) gaps_2(s, now->p, now->v, r->strings, 0, r->gap, r->gap_rate, &w);
+  else if (chosen < s->switches) gaps_3(s, now->p, now->v, r->strings, 0, r->gap, r->gap_rate, &w);
+  for (int i = chosen; i < s->switches; ++i) r->taut[i] = truth(r->gap[i] > 0);
   if (is_plane) differentiated_2(s, &r->at, &input, r->taut, now, r->x);
   else differentiated_3(s, &r->at, &input, r->taut, now, r->x);
   if (r->is_kept) from_lanes(r->x, r->size, r->some, r->points + WIDTH * r->size * stage, r->size);
@@ -165,8 +162,8 @@ static void start_strings(const Reduced *plant, int block, Number *strings) {
 }
 
 /* Writes the columns of a block, of so many numbers each. */
-static void end_block(const Reduced *plant, int block, size_t count, const Number *values,
-                      double *by_state, double *by_input) {
+static void end_block(const Reduced *plant, int block, size_t count, const Number *values, double *by_state,
+                      double *by_input) {
   const int s = 2 * plant->coordinates;
   for (int j = 0; j < WIDTH; ++j) {
     const int column = WIDTH * block + j;
@@ -210,9 +207,8 @@ size_t LANES_NAME(reduced_size)(const Reduced *plant, int32_t rows) {
   const size_t blocks = 2 * m * WIDTH * (size_t)blocks_of(plant);
   const size_t of_rows = 2 * (size_t)rows + 2 * (size_t)s->strings;
   return WIDTH * (1 + shared_size(s, &drive, &own) + 2 * point_size(s) + 2 * (size_t)s->strings +
-                  3 * (size_t)s->switches + size + plant->inner + 9 * m +
-                  4 * (size_t)plant->coordinates + plant->inputs + RK4_STAGES * size +
-                  (blocks > of_rows ? blocks : of_rows));
+                  3 * (size_t)s->switches + size + plant->inner + 9 * m + 4 * (size_t)plant->coordinates +
+                  plant->inputs + RK4_STAGES * size + (blocks > of_rows ? blocks : of_rows));
 }
 
 /* Lays out the memory of values and of changes; returns what is left. */
@@ -249,8 +245,7 @@ static Number *begin_reduction(Reduction *r, const Reduced *plant, double *work,
 }
 
 /* Puts states and inputs into the lanes: displacements, and what strings are held at. */
-static void enter(Reduction *reduction, int first, int count, const double *states,
-                  const double *inputs) {
+static void enter(Reduction *reduction, int first, int count, const double *states, const double *inputs) {
   const Reduced *plant = reduction->plant;
   const Scene *s = plant->scene;
   const int r = plant->coordinates, m = s->entries;
@@ -270,8 +265,8 @@ static void enter(Reduction *reduction, int first, int count, const double *stat
 }
 
 void LANES_NAME(reduced)(const Reduced *plant, int32_t count, int32_t steps, double length,
-                         const double *states, const double *inputs, double *ends,
-                         double *by_state, double *by_input, double *work) {
+                         const double *states, const double *inputs, double *ends, double *by_state,
+                         double *by_input, double *work) {
   const Scene *s = plant->scene;
   const int r = plant->coordinates, m = s->entries, blocks = by_state ? blocks_of(plant) : 0;
   const int halves = steps ? 2 : 1;
@@ -330,9 +325,8 @@ static void rows_by_input(const Reduced *plant, const Rows *rows, const double *
 }
 
 /* Rows at the states of starts or ends of samples, by_motion: their derivatives by these. */
-static void rows_at(Reduction *reduction, Point of_values, Point of_changes, const Rows *rows,
-                    int is_end, int first, double *values, double *by_motion, double *by_input,
-                    Number *memory) {
+static void rows_at(Reduction *reduction, Point of_values, Point of_changes, const Rows *rows, int is_end,
+                    int first, double *values, double *by_motion, double *by_input, Number *memory) {
   const Reduced *plant = reduction->plant;
   const Scene *s = plant->scene;
   const int r = plant->coordinates, m = s->entries, p = rows->count, is_plane = s->dimension == 2;
@@ -340,15 +334,16 @@ static void rows_at(Reduction *reduction, Point of_values, Point of_changes, con
   const int from = has_strings ? 0 : rows->nodes, to = has_nodes ? p : rows->nodes;
   Number *by_place = memory, *by_rate = memory + p, *of_strings = by_rate + p;
   reduction->now = of_values;
-  if (is_plane) kept_2(plant, reduction->motion, reduction->motion + m, of_values.p, of_values.v,
-                       reduction->x + reduction->bars);
-  else kept_3(plant, reduction->motion, reduction->motion + m, of_values.p, of_values.v,
-              reduction->x + reduction->bars);
+  if (is_plane)
+    kept_2(plant, reduction->motion, reduction->motion + m, of_values.p, of_values.v,
+           reduction->x + reduction->bars);
+  else
+    kept_3(plant, reduction->motion, reduction->motion + m, of_values.p, of_values.v,
+           reduction->x + reduction->bars);
   if (has_strings) {
     if (is_plane) strings_at_2(reduction, of_strings, of_strings + s->strings);
     else strings_at_3(reduction, of_strings, of_strings + s->strings);
-    if (rows->density >= 0)
-      memcpy(by_place + rows->density, of_strings, s->strings * sizeof(Number));
+    if (rows->density >= 0) memcpy(by_place + rows->density, of_strings, s->strings * sizeof(Number));
     if (rows->tension >= 0)
       memcpy(by_place + rows->tension, of_strings + s->strings, s->strings * sizeof(Number));
   }
@@ -388,10 +383,9 @@ static void rows_at(Reduction *reduction, Point of_values, Point of_changes, con
   }
 }
 
-void LANES_NAME(reduced_rows)(const Reduced *plant, const Rows *rows, int32_t count,
-                              const double *states, const double *inputs, const double *ends,
-                              double *values, double *by_state, double *by_input, double *by_end,
-                              double *work) {
+void LANES_NAME(reduced_rows)(const Reduced *plant, const Rows *rows, int32_t count, const double *states,
+                              const double *inputs, const double *ends, double *values, double *by_state,
+                              double *by_input, double *by_end, double *work) {
   Reduction reduction = {0};
   Point of_values, of_changes;
   Number *rest = begin_reduction(&reduction, plant, work, &of_values, &of_changes);

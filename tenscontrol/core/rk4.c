@@ -25,19 +25,20 @@ enum { RK4_STATES = 6 };
 
 static Rk4 rk4_of(Span *span, const Number *x, Number *x1, Number *taut, Number *work) {
   const int n = span->states;
-  const Rk4 m = {span, x, x1, taut, all(0), all(0), work, work + n, work + 2 * n, work + 3 * n,
-                 work + 4 * n, work + 5 * n, 0};
+  const Rk4 m = {span, x,        x1,           taut,         all(0),       all(0),
+                 work, work + n, work + 2 * n, work + 3 * n, work + 4 * n, work + 5 * n,
+                 0};
   return m;
 }
 
-WIDE static void combine(const Number *restrict x, Number h, const Number *restrict k,
-                         Number *restrict y, int n) {
+WIDE static void combine(const Number *restrict x, Number h, const Number *restrict k, Number *restrict y,
+                         int n) {
   for (int i = 0; i < n; ++i) y[i] = x[i] + h * k[i];
 }
 
 WIDE static void finish(const Number *restrict x, Number h, const Number *restrict k1,
-                        const Number *restrict k2, const Number *restrict k3,
-                        const Number *restrict k4, Number *restrict y, int n) {
+                        const Number *restrict k2, const Number *restrict k3, const Number *restrict k4,
+                        Number *restrict y, int n) {
   for (int i = 0; i < n; ++i) y[i] = x[i] + h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
 }
 
@@ -146,8 +147,8 @@ static void step_through(Rk4 *m, double *x, double *before, Progress *now, Kept 
   }
 }
 
-int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x,
-                   double *taut, double *work) {
+int advance_by_rk4(Span *span, const Settings *settings, Progress *now, Kept *kept, double *x, double *taut,
+                   double *work) {
   const int n = span->states;
   const FixedSteps steps = fixed_steps(settings);
   double *before = work + n;

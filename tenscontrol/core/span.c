@@ -15,12 +15,11 @@ SHARED size_t span_size(const Scene *s, const Drive *drive) {
          4 * n + restored_size(s) + carry_size(s);
 }
 
-SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengths *lengths,
-                     Number *work) {
+SHARED Number *begin(Span *span, const Scene *s, const Drive *drive, const Lengths *lengths, Number *work) {
   const int n = 2 * s->free, m = s->switches;
-  Number **arrays[] = {&span->gap,     &span->rate,   &span->scale,   &span->rooms,  &span->inside,
-                       &span->outside, &span->chosen, &span->leaving, &span->within, &span->marked,
-                       &span->gap0,    &span->gap1};
+  Number **arrays[] = {&span->gap,    &span->rate,    &span->scale,  &span->rooms,
+                       &span->inside, &span->outside, &span->chosen, &span->leaving,
+                       &span->within, &span->marked,  &span->gap0,   &span->gap1};
   span->scene = s;
   span->drive = drive;
   span->lengths = lengths;
@@ -52,8 +51,7 @@ static void put_lengths(Span *span, Number t, const Number *length, Input *input
   for (int i = 0; i < bars; ++i) {
     Number speed = all(0), acceleration = all(0);
     for (int k = degree; k > 0; --k) speed = speed * t + (double)k * c[k * n + i];
-    for (int k = degree; k > 1; --k)
-      acceleration = acceleration * t + (double)(k * (k - 1)) * c[k * n + i];
+    for (int k = degree; k > 1; --k) acceleration = acceleration * t + (double)(k * (k - 1)) * c[k * n + i];
     rate[i] = speed;
     extension[i] = length[i] * acceleration + speed * speed;
   }
@@ -99,8 +97,7 @@ SHARED void slope_at(Span *span, const Number *x, Number time, const Number *tau
 }
 
 /* The rate of a stretch is less by that of the rest length. */
-SHARED void gap_at(Span *span, const Number *x, Number time, const Some *some, Number *gap,
-                   Number *rate) {
+SHARED void gap_at(Span *span, const Number *x, Number time, const Some *some, Number *gap, Number *rate) {
   const Input input = input_at(span, time);
   const Drive *drive = span->drive;
   gap_of(span->scene, x, &input, some, gap, rate, span->work);

@@ -23,49 +23,49 @@
 
 #include "active_set.h"
 
-typedef void (*StagesMultiply)(char *, char *, int *, int *, int *, double *, double *, int *,
-                               double *, int *, double *, double *, int *);
+typedef void (*StagesMultiply)(char *, char *, int *, int *, int *, double *, double *, int *, double *,
+                               int *, double *, double *, int *);
 
 typedef struct {
-    /* sizes */
-    int stages, states, inputs, limited; /* N; n, with the input before for ramps; a; p */
-    int ramp, changes;                   /* whether inputs are ramps, and changes are limited */
-    int alike; /* whether all stages have the same matrices, stored once, and P is that of the LQR */
-    int *slot; /* (N): where the derivatives of a stage are; several stages may have the same */
-    int *step; /* (N): where its step of the recursion is, also shared */
-    int *from; /* (N): the slot that a step was found from; -1: the step is none */
-    /* what does not change */
-    double level;                             /* unit of an input */
-    const double *Q, *R, *P, *scale, *change; /* (n, n) (a, a) (n, n); units of rows (p); (a) */
-    const double *cross;                      /* C, (n - a or n, a); NULL: zeros */
-    StagesMultiply gemm;                      /* of the BLAS, or NULL */
-    /* the plan */
-    double *z, *u; /* (N + 1, n - a or n); (N + 1, a), the input before first */
-    /* the problem linearized along it */
-    double *motion, *motion_t;             /* by slots: (N, a + n, n), [B A]'; (N, n, a + n), [B A] */
-    const double *E, *G, *F;               /* (N, n, p) (N, a, p) (N, n, p), by columns; of ramps
+  /* sizes */
+  int stages, states, inputs, limited; /* N; n, with the input before for ramps; a; p */
+  int ramp, changes;                   /* whether inputs are ramps, and changes are limited */
+  int alike; /* whether all stages have the same matrices, stored once, and P is that of the LQR */
+  int *slot; /* (N): where the derivatives of a stage are; several stages may have the same */
+  int *step; /* (N): where its step of the recursion is, also shared */
+  int *from; /* (N): the slot that a step was found from; -1: the step is none */
+  /* what does not change */
+  double level;                             /* unit of an input */
+  const double *Q, *R, *P, *scale, *change; /* (n, n) (a, a) (n, n); units of rows (p); (a) */
+  const double *cross;                      /* C, (n - a or n, a); NULL: zeros */
+  StagesMultiply gemm;                      /* of the BLAS, or NULL */
+  /* the plan */
+  double *z, *u; /* (N + 1, n - a or n); (N + 1, a), the input before first */
+  /* the problem linearized along it */
+  double *motion, *motion_t;    /* by slots: (N, a + n, n), [B A]'; (N, n, a + n), [B A] */
+  const double *E, *G, *F;      /* (N, n, p) (N, a, p) (N, n, p), by columns; of ramps
                                               E and F end before the inputs; of alike stages G is
                                               by rows without its zeros: row i has the numbers */
-    const int *G_start, *G_which;          /* from G_start[i] on, of inputs G_which; (p + 1) */
-    double *values;                        /* (N, p), in their units */
-    double *gap;                           /* (N, n): d */
-    double *costs, *before;                /* by steps: (N, n, n), P behind a stage and before it */
-    double *S, *S_t, *W, *W_t;             /* by steps: (N, a, a) twice; (N, a, n); (N, n, a) */
-    double *first;                         /* (N, a): f */
-    double *growth, *reach; /* by steps: (N), of errors of x in inputs, in levels; largest of W */
-    double farthest;        /* largest of f */
-    double *off_z, *off_u;                 /* (N + 1, n), (N, a): the plan less its targets */
-    double *work;                          /* STAGES_WORK(thin, n, a) */
-    int ahead;                             /* whether F may be other than zero */
-    /* for many inputs that move few states, with alike stages: in place of S, and W is (n, n) */
-    int thin;
-    const double *unit, *V, *T, *shrink; /* (a), (a, n), (n, n), (n): see stages.c */
-    double *V_t, *limited_v;             /* (n, a); (p, n) */
+  const int *G_start, *G_which; /* from G_start[i] on, of inputs G_which; (p + 1) */
+  double *values;               /* (N, p), in their units */
+  double *gap;                  /* (N, n): d */
+  double *costs, *before;       /* by steps: (N, n, n), P behind a stage and before it */
+  double *S, *S_t, *W, *W_t;    /* by steps: (N, a, a) twice; (N, a, n); (N, n, a) */
+  double *first;                /* (N, a): f */
+  double *growth, *reach;       /* by steps: (N), of errors of x in inputs, in levels; largest of W */
+  double farthest;              /* largest of f */
+  double *off_z, *off_u;        /* (N + 1, n), (N, a): the plan less its targets */
+  double *work;                 /* STAGES_WORK(thin, n, a) */
+  int ahead;                    /* whether F may be other than zero */
+  /* for many inputs that move few states, with alike stages: in place of S, and W is (n, n) */
+  int thin;
+  const double *unit, *V, *T, *shrink; /* (a), (a, n), (n, n), (n): see stages.c */
+  double *V_t, *limited_v;             /* (n, a); (p, n) */
 } Stages;
 
-#define STAGES_WORK(thin, n, a)                                    \
-    ((thin) ? (size_t)(n) * ((n) + 6) + 4 * ((size_t)(n) + (a))    \
-            : (size_t)((n) + (a)) * (2 * (size_t)((n) + (a)) + 3 * (size_t)ACTIVE_SET_BATCH + 6))
+#define STAGES_WORK(thin, n, a)                               \
+  ((thin) ? (size_t)(n) * ((n) + 6) + 4 * ((size_t)(n) + (a)) \
+          : (size_t)((n) + (a)) * (2 * (size_t)((n) + (a)) + 3 * (size_t)ACTIVE_SET_BATCH + 6))
 
 /* Numbers of x: of thin stages [w v s], see stages.c. */
 #define STAGES_COLUMNS(thin, N, n, a) ((size_t)(N) * ((a) + ((thin) ? 2 * (size_t)(n) : 0)))
@@ -79,65 +79,63 @@ typedef struct {
 
 /* Sizes of the memory of a program. `alike` and `thin` are as in its sizes. */
 #define STAGES_ROWS(N, a, p, changes) ((size_t)(N) * ((size_t)(a) * ((changes) ? 2 : 1) + (p)))
-#define STAGES_ACTIVE(alike, rows, columns, soft)                            \
-    ((alike) && ACTIVE_SET_MOST(rows, columns, soft) > STAGES_MOST           \
-         ? STAGES_MOST                                                       \
-         : ACTIVE_SET_MOST(rows, columns, soft))
+#define STAGES_ACTIVE(alike, rows, columns, soft)                              \
+  ((alike) && ACTIVE_SET_MOST(rows, columns, soft) > STAGES_MOST ? STAGES_MOST \
+                                                                 : ACTIVE_SET_MOST(rows, columns, soft))
 #define STAGES_MAPPED(rows, n) ((size_t)(rows) * (n) <= STAGES_MAP ? (size_t)(rows) * (n) : 0)
-#define STAGES_ALIKE(thin, N, n, a, rows)                              \
-    ((size_t)(rows) * (((thin) ? (n) : (a)) + 2) + STAGES_MAPPED(rows, n) + \
-     STAGES_COLUMNS(thin, N, n, a) + (size_t)(N) * (n) + (n))
-#define STAGES_MATRICES(thin, n, a, p)                                                        \
-    ((thin) ? 6 * (size_t)(n) * (n) + ((size_t)(a) + (p)) * (n)                               \
-            : 2 * ((size_t)(a) + (n)) * (n) + 2 * (size_t)(n) * (n) + 2 * (size_t)(a) * (n) + \
-                  2 * (size_t)(a) * (a))
-#define STAGES_NUMBERS(alike, thin, N, n, a, p, rows, most)                               \
-    (ACTIVE_SET_NUMBERS(rows, STAGES_COLUMNS(thin, N, n, a), most, !(alike)) +            \
-     ((alike) ? 1 : (size_t)(N)) * STAGES_MATRICES(thin, n, a, p) +                       \
-     4 * STAGES_COLUMNS(thin, N, n, a) + (size_t)(N) * ((p) + (n) + 3 * (a)) +            \
-     (size_t)((N) + 1) * (4 * (n) + (a) + 2) + 4 * (size_t)(rows) + STAGES_WORK(thin, n, a) + \
-     ((alike) ? STAGES_ALIKE(thin, N, n, a, rows) : 0))
+#define STAGES_ALIKE(thin, N, n, a, rows)                                                                 \
+  ((size_t)(rows) * (((thin) ? (n) : (a)) + 2) + STAGES_MAPPED(rows, n) + STAGES_COLUMNS(thin, N, n, a) + \
+   (size_t)(N) * (n) + (n))
+#define STAGES_MATRICES(thin, n, a, p)                                                      \
+  ((thin) ? 6 * (size_t)(n) * (n) + ((size_t)(a) + (p)) * (n)                               \
+          : 2 * ((size_t)(a) + (n)) * (n) + 2 * (size_t)(n) * (n) + 2 * (size_t)(a) * (n) + \
+                2 * (size_t)(a) * (a))
+#define STAGES_NUMBERS(alike, thin, N, n, a, p, rows, most)                                             \
+  (ACTIVE_SET_NUMBERS(rows, STAGES_COLUMNS(thin, N, n, a), most, !(alike)) +                            \
+   ((alike) ? 1 : (size_t)(N)) * STAGES_MATRICES(thin, n, a, p) + 4 * STAGES_COLUMNS(thin, N, n, a) +   \
+   (size_t)(N) * ((p) + (n) + 3 * (a)) + (size_t)((N) + 1) * (4 * (n) + (a) + 2) + 4 * (size_t)(rows) + \
+   STAGES_WORK(thin, n, a) + ((alike) ? STAGES_ALIKE(thin, N, n, a, rows) : 0))
 #define STAGES_INTEGERS(alike, N, rows, most) \
-    (ACTIVE_SET_INTEGERS(rows, most) + ((alike) ? (size_t)(rows) / (N) : 3 * (size_t)(N)))
+  (ACTIVE_SET_INTEGERS(rows, most) + ((alike) ? (size_t)(rows) / (N) : 3 * (size_t)(N)))
 
 typedef struct {
-    int stages, states, inputs, limited; /* as in Stages */
-    int ramp, changes;
-    int soft;  /* rows */
-    int limit; /* of changes of the active set */
-    int ahead; /* whether limited values depend on z_{k+1} */
-    int alike; /* whether all stages are alike */
-    int thin;  /* they are so with few states, a diagonal R and no C */
-    int crossed; /* whether there is a C */
+  int stages, states, inputs, limited; /* as in Stages */
+  int ramp, changes;
+  int soft;    /* rows */
+  int limit;   /* of changes of the active set */
+  int ahead;   /* whether limited values depend on z_{k+1} */
+  int alike;   /* whether all stages are alike */
+  int thin;    /* they are so with few states, a diagonal R and no C */
+  int crossed; /* whether there is a C */
 } StagesSizes;
 
 /* What does not change, and stays where it is: by rows, as in Stages and in ActiveSet. */
 typedef struct {
-    const double *Q, *R, *P, *cross, *scale, *change;
-    const double *low, *high, *least, *most; /* bounds of inputs (a), of limited values (p) */
-    const double *price, *curvature;         /* (rows) */
-    const double *unit, *V, *T, *shrink;     /* of thin stages, which need no R */
-    const int *G_start, *G_which;            /* of alike stages */
+  const double *Q, *R, *P, *cross, *scale, *change;
+  const double *low, *high, *least, *most; /* bounds of inputs (a), of limited values (p) */
+  const double *price, *curvature;         /* (rows) */
+  const double *unit, *V, *T, *shrink;     /* of thin stages, which need no R */
+  const int *G_start, *G_which;            /* of alike stages */
 } StagesData;
 
 /* The program of a horizon, and its plan: what a sample of MPC takes. */
 typedef struct {
-    Stages stages;
-    ActiveSet set;
-    StagesData data;
-    double *lower, *upper, *values, *y; /* (rows) each; y: multipliers to start from */
-    double *x, *none, *step;            /* (STAGES_COLUMNS), none: zeros */
-    double *dz, *du;                    /* (N + 1, n) and (N, a): departures from the plan */
-    double *by_z, *by_u;                /* as many: what a correction adds to them */
-    int moved;                          /* whether the departures are no more those of x = 0 */
-    int refined; /* whether the departures are those of the last solution, corrected */
-    /* where all stages are alike */
-    double *last;                  /* (rows of a stage, N a): rows of the last stage; of thin ones
+  Stages stages;
+  ActiveSet set;
+  StagesData data;
+  double *lower, *upper, *values, *y; /* (rows) each; y: multipliers to start from */
+  double *x, *none, *step;            /* (STAGES_COLUMNS), none: zeros */
+  double *dz, *du;                    /* (N + 1, n) and (N, a): departures from the plan */
+  double *by_z, *by_u;                /* as many: what a correction adds to them */
+  int moved;                          /* whether the departures are no more those of x = 0 */
+  int refined;                        /* whether the departures are those of the last solution, corrected */
+  /* where all stages are alike */
+  double *last;                     /* (rows of a stage, N a): rows of the last stage; of thin ones
                                       their w, (rows of a stage, N n) */
-    int *known;                    /* (rows of a stage), whether they are found */
-    double *map;                   /* (n, rows): what z_0 does to the limits; NULL: too large */
-    double *low_offset, *high_offset; /* (rows): bounds less the limits at z_0 = 0 and x = 0 */
-    double *chosen, *drift, *start; /* (STAGES_COLUMNS), (N n), (n): x - f, d and z_0 of the
+  int *known;                       /* (rows of a stage), whether they are found */
+  double *map;                      /* (n, rows): what z_0 does to the limits; NULL: too large */
+  double *low_offset, *high_offset; /* (rows): bounds less the limits at z_0 = 0 and x = 0 */
+  double *chosen, *drift, *start;   /* (STAGES_COLUMNS), (N n), (n): x - f, d and z_0 of the
                                          last solution; if refined, chosen are its inputs */
 } StagesProgram;
 
@@ -153,8 +151,8 @@ SOLVER_API size_t stages_program_size(void);
  */
 SOLVER_API void stages_program_place(StagesProgram *program, const StagesSizes *sizes, double level,
                                      double tolerance, StagesMultiply gemm, const StagesData *data,
-                                     double *numbers, int *integers, const double **pointers,
-                                     size_t *counts, double **views);
+                                     double *numbers, int *integers, const double **pointers, size_t *counts,
+                                     double **views);
 
 /* Move the multipliers, and the steps of the recursion, on by a sample. */
 SOLVER_API void stages_program_shift(StagesProgram *program);
@@ -170,9 +168,9 @@ SOLVER_API void stages_program_shift(StagesProgram *program);
  * that of the costs behind stages whose derivatives are known.
  */
 SOLVER_API int stages_program_prepare(StagesProgram *program, const int *slots, const int *fresh,
-                                      double tolerance, const double *ends, const double *A,
-                                      const double *B, const double *C, const double *limited,
-                                      const double *E, const double *G, const double *F);
+                                      double tolerance, const double *ends, const double *A, const double *B,
+                                      const double *C, const double *limited, const double *E,
+                                      const double *G, const double *F);
 
 /*
  * Put in the targets: r of (N, n - a or n), s of (N, a), r_0 or NULL (zeros; C alone asks for it),
@@ -188,9 +186,8 @@ SOLVER_API void stages_program_aim(StagesProgram *program, const double *r, cons
  * With 0 the departures from the plan are those of the optimum, or where all stages are alike the
  * first input of them, and the multipliers are kept.
  */
-SOLVER_API int stages_program_solve(StagesProgram *program, const double *state,
-                                    const double *acting, const double *previous,
-                                    int (*stop)(void *));
+SOLVER_API int stages_program_solve(StagesProgram *program, const double *state, const double *acting,
+                                    const double *previous, int (*stop)(void *));
 
 /* Find all departures from the plan of the last solution, where all stages are alike. */
 SOLVER_API void stages_program_plan(StagesProgram *program);

@@ -24,8 +24,7 @@ static void evaluate(Span *span, Instant *at, double *taut) {
   for (int i = 0; i < span->switches; ++i) taut[i] = span->gap[i] > 0;
   input = input_at(span, at->time);
   slope_and_bars(s, at->x, &input, taut, at->slope, at->density, span->work);
-  for (int i = 0; i < s->bars; ++i)
-    at->power[i] = at->density[i] * input.length[i] * input.length_rate[i];
+  for (int i = 0; i < s->bars; ++i) at->power[i] = at->density[i] * input.length[i] * input.length_rate[i];
 }
 
 size_t tc_strut_work_size(const Scene *s, const Drive *drive) {
@@ -37,8 +36,8 @@ static void add(const double *power, double factor, int count, double *to) {
 }
 
 void tc_strut_work(const Scene *s, const Drive *drive, const Quadrature *quadrature, int32_t parts,
-                   const double *times, const double *states, double *density,
-                   double *strut_work, double *work) {
+                   const double *times, const double *states, double *density, double *strut_work,
+                   double *work) {
   Span span;
   double *rest = begin(&span, s, drive, 0, work), *y, *taut;
   const int n = span.states, bars = s->bars, last = quadrature->count - 1;

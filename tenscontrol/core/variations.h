@@ -60,8 +60,8 @@ typedef struct {
 } Switches;
 
 /* Work memory of the calls below, as a count of numbers. */
-EXPORTED size_t tc_variations_work_size(const Scene *scene, const Drive *drive,
-                                        const Tableau *method, int32_t columns);
+EXPORTED size_t tc_variations_work_size(const Scene *scene, const Drive *drive, const Tableau *method,
+                                        int32_t columns);
 
 /* The derivative X (states, columns) of the state before steps becomes that of the state after them.
    After each, bars that share no nodes are put on their lengths, unless these are null, and what
@@ -71,22 +71,21 @@ EXPORTED void tc_tangents(const Scene *scene, const Drive *drive, const Lengths 
                           const Changes *changes, double *X, double *work);
 
 /* The derivative of a cost by the state after steps becomes that by the state before them. */
-EXPORTED void tc_costs(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                       const Tableau *method, const Steps *steps, const Switches *switches,
-                       const Changes *costs, double *mu, double *work);
+EXPORTED void tc_costs(const Scene *scene, const Drive *drive, const Lengths *lengths, const Tableau *method,
+                       const Steps *steps, const Switches *switches, const Changes *costs, double *mu,
+                       double *work);
 
 /* Accelerations as steps begin, (count, free), under what pulls in them. */
 EXPORTED void tc_accelerations(const Scene *scene, const Drive *drive, const Steps *steps,
                                double *accelerations, double *work);
 
 /* The same by the instructions of one kind of machines. */
-typedef size_t VariationsSize(const Scene *scene, const Drive *drive, const Tableau *method,
-                              int32_t columns);
-typedef void Variations(const Scene *scene, const Drive *drive, const Lengths *lengths,
-                        const Tableau *method, const Steps *steps, const Switches *switches,
-                        const Changes *changes, double *X, double *work);
-typedef void Accelerations(const Scene *scene, const Drive *drive, const Steps *steps,
-                           double *accelerations, double *work);
+typedef size_t VariationsSize(const Scene *scene, const Drive *drive, const Tableau *method, int32_t columns);
+typedef void Variations(const Scene *scene, const Drive *drive, const Lengths *lengths, const Tableau *method,
+                        const Steps *steps, const Switches *switches, const Changes *changes, double *X,
+                        double *work);
+typedef void Accelerations(const Scene *scene, const Drive *drive, const Steps *steps, double *accelerations,
+                           double *work);
 VariationsSize variations_size_by_all, variations_size_by_avx2, variations_size_by_avx512;
 Variations tangents_by_all, tangents_by_avx2, tangents_by_avx512;
 Variations costs_by_all, costs_by_avx2, costs_by_avx512;

@@ -13,8 +13,8 @@ static inline Number N(product)(const Number *a, const Number *b) {
 /* ---- the derivatives of members: steps are in lanes ---- */
 
 /* Forces of strings, with their derivatives. */
-static void N(pulled)(const Scene *s, const Layout *at, const Number *u, const Number *taut,
-                      const Point *now, Number *x) {
+static void N(pulled)(const Scene *s, const Layout *at, const Number *u, const Number *taut, const Point *now,
+                      Number *x) {
   const int has_lengths = s->law != FORCE_DENSITY_HELD || s->clustered;
   Number *weight = x + at->weight, *matrix = x + at->matrix;
   memset(now->string_length, 0, s->strings * sizeof(Number));
@@ -68,19 +68,17 @@ static void N(pulled)(const Scene *s, const Layout *at, const Number *u, const N
 }
 
 /* The force of the ground on a node, with its derivatives by x, v and the numbers of the law. */
-static void N(touched)(const Ground *g, const Number *own, const Number *x, const Number *v,
-                       Number pressing, Number *force, Number *by) {
+static void N(touched)(const Ground *g, const Number *own, const Number *x, const Number *v, Number pressing,
+                       Number *force, Number *by) {
   /* Of the press: by depth, rate, stiffness, damping, width; of the force: by press, v, friction, slip. */
   Number depth, rate, press, presses[5] = {all(0), all(0), all(0), all(0), all(0)};
   Number normal[D], forces[D * (D + 3)];
   for (int j = 0; j < D; ++j) normal[j] = all(g->normal[j]);
   N(sinking)(x, v, own[4], normal, &depth, &rate);
-  if (g->kind == LINEAR_GROUND)
-    linear_press_slopes(depth, rate, own[0], own[1], pressing, &press, presses);
+  if (g->kind == LINEAR_GROUND) linear_press_slopes(depth, rate, own[0], own[1], pressing, &press, presses);
   else if (g->kind == HERTZ_GROUND)
     hertz_press_slopes(depth, rate, own[0], own[1], pressing, &press, presses);
-  else
-    smooth_press_slopes(depth, rate, own[0], own[1], own[5], &press, presses);
+  else smooth_press_slopes(depth, rate, own[0], own[1], own[5], &press, presses);
   N(ground_force_slopes)(press, v, own[2], own[3], normal, force, forces);
   for (int k = 0; k < D; ++k) {
     Number *of_law = by + D * 2 * D + k;
@@ -150,20 +148,17 @@ static void N(accelerated)(const Scene *s, const Layout *at, const Point *now, N
     for (int k = 0; k < D; ++k) a[tip + k] = constants[1] * (f[tip + k] + bar[D] * bar[k]);
   }
   for (int i = 0; i < s->points; ++i)
-    for (int k = 0; k < D; ++k)
-      a[s->point[i] + k] = f[s->point[i] + k] * numbers(s->point_inverse_mass)[i];
+    for (int k = 0; k < D; ++k) a[s->point[i] + k] = f[s->point[i] + k] * numbers(s->point_inverse_mass)[i];
   if (s->block_bars) N(bars_that_share)(s, at, now, x);
 }
 
 /* Accelerations at a point whose p and v are there, with the derivatives of members. */
-static void N(differentiated)(const Scene *s, const Layout *at, const Input *input,
-                              const Number *taut, const Point *now, Number *x) {
+static void N(differentiated)(const Scene *s, const Layout *at, const Input *input, const Number *taut,
+                              const Point *now, Number *x) {
   const Number *load = input->load ? input->load : s->load ? numbers(s->load) : 0;
   Number *contact = x + at->contact;
-  if (load)
-    memcpy(now->f, load, s->entries * sizeof *load);
-  else
-    memset(now->f, 0, s->entries * sizeof *now->f);
+  if (load) memcpy(now->f, load, s->entries * sizeof *load);
+  else memset(now->f, 0, s->entries * sizeof *now->f);
   if (s->segments) N(pulled)(s, at, input->strings, taut, now, x);
   for (int i = 0; i < s->grounds; ++i) {
     const Ground *g = s->ground + i;
@@ -221,8 +216,8 @@ INLINE Number N(stretch_forward)(const double *along, const double *turning, con
   return N(times)(along, S);
 }
 
-INLINE void N(pull_forward)(const double *along, double weight, const Number *S, Number axial,
-                            Number *f0, Number *f1) {
+INLINE void N(pull_forward)(const double *along, double weight, const Number *S, Number axial, Number *f0,
+                            Number *f1) {
   for (int k = 0; k < D; ++k) {
     const Number pull = along[k] * axial + weight * S[k];
     f0[k] += pull;
@@ -295,8 +290,8 @@ INLINE void N(tension_forward)(const Scene *s, const double *along, int i, Numbe
 }
 
 /* Pulls of strings of one segment each by what these are given, and by their own numbers. */
-static void N(given_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
-                             int first, const Given *given, Number *f) {
+static void N(given_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c, int first,
+                             const Given *given, Number *f) {
   const double *along = x + at->along, *by = x + at->string;
   const int count = given->string ? given->count : s->strings;
   for (int m = 0; m < count && given->change; ++m) {
@@ -317,8 +312,8 @@ static void N(clusters_forward)(const Scene *s, const Layout *at, const double *
   memset(change->string_rate, 0, s->strings * sizeof(Number));
   for (int i = 0; i < s->segments; ++i) {
     const int from = s->segment_start[i], to = s->segment_end[i], string = s->segment_string[i];
-    change->length[i] = N(stretch_forward)(along + D * i, turning ? turning + D * i : 0, p + from,
-                                           p + to, v + from, v + to, S, &rate);
+    change->length[i] = N(stretch_forward)(along + D * i, turning ? turning + D * i : 0, p + from, p + to,
+                                           v + from, v + to, S, &rate);
     change->string_length[string] += change->length[i];
     change->string_rate[string] += rate;
   }
@@ -334,29 +329,28 @@ static void N(clusters_forward)(const Scene *s, const Layout *at, const double *
     const double weight = x[at->weight + i];
     N(difference)(p, from, to, S);
     N(pull_forward)(along + D * i, weight, S,
-                    change->tension[s->segment_string[i]] - weight * change->length[i],
-                    change->f + from, change->f + to);
+                    change->tension[s->segment_string[i]] - weight * change->length[i], change->f + from,
+                    change->f + to);
   }
 }
 
 /* Weights less inertia that changes of masses add to the forces. */
-static void N(weighed_forward)(const Scene *s, const double *a, const Changes *c, int first,
-                               Number *f) {
+static void N(weighed_forward)(const Scene *s, const double *a, const Changes *c, int first, Number *f) {
   const size_t P = c->columns;
   for (int i = 0; i < s->bars && c->bar_mass; ++i) {
     const Number mass = *numbers(c->bar_mass + i * P + first);
     const int ends[] = {s->any_start[i], s->any_end[i]};
     for (int side = 0; side < 2; ++side)
       for (int k = 0; k < D; ++k)
-        f[ends[side] + k] += mass * (OWN * (c->gravity[k] - a[ends[side] + k]) +
-                                     OTHER * (c->gravity[k] - a[ends[!side] + k]));
+        f[ends[side] + k] +=
+            mass * (OWN * (c->gravity[k] - a[ends[side] + k]) + OTHER * (c->gravity[k] - a[ends[!side] + k]));
   }
   for (int i = 0; i < s->entries && c->point_mass; ++i)
     f[i] += (c->gravity[i % D] - a[i]) * *numbers(c->point_mass + i / D * P + first);
 }
 
-static void N(touched_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
-                               int first, const Point *change) {
+static void N(touched_forward)(const Scene *s, const Layout *at, const double *x, const Changes *c, int first,
+                               const Point *change) {
   const double *contact = x + at->contact;
   for (int i = 0; i < s->grounds; ++i)
     for (int j = 0; j < s->ground[i].count; ++j, contact += at->of_contact) {
@@ -403,8 +397,7 @@ INLINE void N(turned_forward)(const double *bar, const Number *vector, const Num
   for (int k = 0; k < D; ++k) turning[k] = force[k] + density * vector[k] + bar[k] * change;
 }
 
-INLINE void N(accelerated_forward)(const Scene *s, const Layout *at, const double *x,
-                                   const Point *change) {
+INLINE void N(accelerated_forward)(const Scene *s, const Layout *at, const double *x, const Point *change) {
   const Number *p = change->p, *f = change->f;
   const double *bar = x + at->free_bar, *constants = s->bar_constants;
   Number *a = change->a, vector[D], rate[D], force[D], turning[D];
@@ -429,14 +422,13 @@ INLINE void N(accelerated_forward)(const Scene *s, const Layout *at, const doubl
     for (int k = 0; k < D; ++k) a[tip + k] = s->tip_constants[2 * i + 1] * turning[k];
   }
   for (int i = 0; i < s->points; ++i)
-    for (int k = 0; k < D; ++k)
-      a[s->point[i] + k] = f[s->point[i] + k] * s->point_inverse_mass[i];
+    for (int k = 0; k < D; ++k) a[s->point[i] + k] = f[s->point[i] + k] * s->point_inverse_mass[i];
   if (s->block_bars) N(coupled_forward)(s, at, x, change);
 }
 
 /* Changes of the accelerations of all entries by those of their places and rates. */
-static void N(forward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
-                       int first, const Given *given, const Point *change) {
+static void N(forward)(const Scene *s, const Layout *at, const double *x, const Changes *c, int first,
+                       const Given *given, const Point *change) {
   for (int i = 0; i < s->entries; i += D)
     for (int k = 0; k < D; ++k)
       change->f[i + k] = c->load ? *numbers(c->load + (size_t)c->columns * (i + k) + first) : all(0);
@@ -473,16 +465,15 @@ static inline N(Restored) N(restored_at)(const double *b, const double *r, doubl
   return bar;
 }
 
-static inline N(Restored) N(restored_free)(const Scene *s, const Lengths *lengths, int i,
-                                           const double *x) {
+static inline N(Restored) N(restored_free)(const Scene *s, const Lengths *lengths, int i, const double *x) {
   const double *a = x + s->bar_row[2 * i], *b = x + s->bar_row[2 * i + 1];
   double bar[D], rate[D];
   for (int k = 0; k < D; ++k) bar[k] = b[k] - a[k], rate[k] = b[s->free + k] - a[s->free + k];
   return N(restored_at)(bar, rate, lengths->bar_length[i]);
 }
 
-static inline N(Restored) N(restored_swinging)(const Scene *s, const Lengths *lengths, int i,
-                                               const double *x) {
+static inline N(Restored)
+    N(restored_swinging)(const Scene *s, const Lengths *lengths, int i, const double *x) {
   const double *tip = x + s->tip_row[i], *hinge = s->place + s->hinge[i];
   double bar[D];
   for (int k = 0; k < D; ++k) bar[k] = tip[k] - hinge[k];
@@ -490,7 +481,7 @@ static inline N(Restored) N(restored_swinging)(const Scene *s, const Lengths *le
 }
 
 /* Changes of the vector and rate of a bar become those after it is put on its length. */
-static inline void N(restore_changes)(const N(Restored) *bar, Number *db, Number *dr) {
+static inline void N(restore_changes)(const N(Restored) * bar, Number *db, Number *dr) {
   const double inverse = 1 / bar->scale, part = 1 / bar->square;
   const Number stretch = part * N(times)(bar->b, db);
   const Number drift = part * (N(times)(bar->r, db) + N(times)(bar->b, dr)) - 2 * bar->along * stretch;
@@ -546,8 +537,8 @@ static inline double N(dot)(const double *a, const double *b) {
 }
 
 /* Of a cost by what a bar turns by: those by its vector, rate and force. */
-static inline void N(turned_backward)(const double *bar, const double *cost, double twice,
-                                      double *of_bar, double *of_rate, double *of_force) {
+static inline void N(turned_backward)(const double *bar, const double *cost, double twice, double *of_bar,
+                                      double *of_rate, double *of_force) {
   const double density = twice * bar[D], *by = bar + D + 1, change = twice * N(dot)(bar, cost);
   for (int k = 0; k < D; ++k) {
     of_bar[k] = density * cost[k] + change * by[k];
@@ -576,8 +567,7 @@ static void N(coupled_backward)(const Scene *s, const Layout *at, const double *
   }
 }
 
-static void N(accelerated_backward)(const Scene *s, const Layout *at, const double *x,
-                                    const Cost *by) {
+static void N(accelerated_backward)(const Scene *s, const Layout *at, const double *x, const Cost *by) {
   const double *cost = by->a;
   double *f = by->f, turning[D], of_bar[D], of_rate[D], of_force[D];
   for (int i = 0; i < s->free_bars; ++i) {
@@ -603,8 +593,7 @@ static void N(accelerated_backward)(const Scene *s, const Layout *at, const doub
     for (int k = 0; k < D; ++k) f[tip + k] += of_force[k];
   }
   for (int i = 0; i < s->points; ++i)
-    for (int k = 0; k < D; ++k)
-      f[s->point[i] + k] += cost[s->point[i] + k] * s->point_inverse_mass[i];
+    for (int k = 0; k < D; ++k) f[s->point[i] + k] += cost[s->point[i] + k] * s->point_inverse_mass[i];
   if (s->block_bars) N(coupled_backward)(s, at, x, by);
 }
 
@@ -620,8 +609,8 @@ static void N(weighed_backward)(const Scene *s, const double *a, const Changes *
     c->point_mass[i / D] += f[i] * (c->gravity[i % D] - a[i]);
 }
 
-static void N(touched_backward)(const Scene *s, const Layout *at, const double *x,
-                                const Changes *c, const Cost *by) {
+static void N(touched_backward)(const Scene *s, const Layout *at, const double *x, const Changes *c,
+                                const Cost *by) {
   const double *contact = x + at->contact;
   for (int i = 0; i < s->grounds; ++i)
     for (int j = 0; j < s->ground[i].count; ++j, contact += at->of_contact) {
@@ -638,8 +627,8 @@ static void N(touched_backward)(const Scene *s, const Layout *at, const double *
 }
 
 /* Of a cost by the tension of a string: those by its numbers, with what each value of a profile counts. */
-static inline void N(tension_backward)(const double *by, const Changes *c, int i,
-                                       const Shares *shares, double cost) {
+static inline void N(tension_backward)(const double *by, const Changes *c, int i, const Shares *shares,
+                                       double cost) {
   add_input_cost(c, i, shares, by[BY_REST] * cost);
   if (c->stiffness) c->stiffness[i] += by[BY_STIFFNESS] * cost;
   if (c->damping) c->damping[i] += by[BY_DAMPING] * cost;
@@ -647,8 +636,7 @@ static inline void N(tension_backward)(const double *by, const Changes *c, int i
 
 /* Of costs by the pull of a segment, its length and its rate: those by places and rates. */
 static inline void N(stretch_backward)(const Scene *s, const Layout *at, const double *x, int i,
-                                       const double *pull, double length, double rate,
-                                       const Cost *by) {
+                                       const double *pull, double length, double rate, const Cost *by) {
   const int start = s->segment_start[i], end = s->segment_end[i];
   const double *along = x + at->along + D * i, weight = x[at->weight + i];
   double of_S[D], of_Sd[D];
@@ -673,8 +661,7 @@ static void N(pulled_backward)(const Scene *s, const Layout *at, const double *x
       const int string = s->segment_string[i];
       const double *slopes = x + at->string + at->of_string * string;
       double axial, tension;
-      for (int k = 0; k < D; ++k)
-        pull[k] = by->f[s->segment_start[i] + k] - by->f[s->segment_end[i] + k];
+      for (int k = 0; k < D; ++k) pull[k] = by->f[s->segment_start[i] + k] - by->f[s->segment_end[i] + k];
       axial = N(dot)(x + at->along + D * i, pull);
       if (!pass || !s->clustered) by->tension[string] += axial;
       if (!pass) continue;
@@ -688,7 +675,7 @@ static void N(pulled_backward)(const Scene *s, const Layout *at, const double *x
 }
 
 /* A cost by the vector and rate of a bar on its length becomes that by those before. */
-static inline void N(restore_costs)(const N(Restored) *bar, double *of_b, double *of_r) {
+static inline void N(restore_costs)(const N(Restored) * bar, double *of_b, double *of_r) {
   double stretch = 0, drift = 0;
   for (int k = 0; k < D; ++k) {
     of_b[k] *= bar->scale;
@@ -704,8 +691,8 @@ static inline void N(restore_costs)(const N(Restored) *bar, double *of_b, double
 }
 
 /* The transpose of `restored_forward`. */
-static void N(restored_backward)(const Scene *s, const Lengths *lengths, const double *x,
-                                 double *mu, size_t apart) {
+static void N(restored_backward)(const Scene *s, const Lengths *lengths, const double *x, double *mu,
+                                 size_t apart) {
   for (int i = 0; i < s->free_bars; ++i) {
     const N(Restored) bar = N(restored_free)(s, lengths, i, x);
     double *a = mu + s->bar_row[2 * i], *b = mu + s->bar_row[2 * i + 1], of[2][D], sum[2][D];

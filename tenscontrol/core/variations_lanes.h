@@ -44,10 +44,10 @@ static Layout layout_of(const Scene *s) {
   for (int i = 0; i < s->grounds; ++i) contacts += s->ground[i].count;
   at.of_string = s->damped ? 5 : 3;
   at.of_contact = (int)(1 + d * (2 * d + GROUND_NUMBERS)); /* whether it presses, and slopes */
-  at.of_bar = (int)(4 * d + 1);        /* its vector, force density, and slopes of that */
-  at.of_block_bar = (int)(2 * d + 1);  /* its rate, acceleration and force density */
-  at.along = 0;                        /* (segments, d): its direction */
-  at.turning = at.along + m * d;       /* (segments, d): the rate of its length by its vector */
+  at.of_bar = (int)(4 * d + 1);                            /* its vector, force density, and slopes of that */
+  at.of_block_bar = (int)(2 * d + 1);                      /* its rate, acceleration and force density */
+  at.along = 0;                                            /* (segments, d): its direction */
+  at.turning = at.along + m * d;                    /* (segments, d): the rate of its length by its vector */
   at.weight = at.turning + (s->damped ? m * d : 0); /* (segments): pull by vector */
   /* (segments, d (d + 1) / 2): of a string of one segment, all of the pull by its vector */
   at.matrix = at.weight + m;
@@ -73,23 +73,20 @@ static void from_all(const Scene *s, const Number *all_entries, Number *free) {
 }
 
 /* The force density of a string and its derivatives; those of one that is slack are 0. */
-static Number string_slopes(const Scene *s, int i, Number length, Number rate, Number rest,
-                            Number taut, Number *by) {
+static Number string_slopes(const Scene *s, int i, Number length, Number rate, Number rest, Number taut,
+                            Number *by) {
   const Number k = numbers(s->stiffness)[i], c = numbers(s->damping)[i];
   Number gamma, slopes[5];
   if (s->damped) {
     if (s->law == LINEAR_STRINGS)
       linear_damped_force_density_slopes(length, rest, rate, k, c, &gamma, slopes);
-    else
-      elastic_damped_force_density_slopes(length, rest, rate, k, c, &gamma, slopes);
+    else elastic_damped_force_density_slopes(length, rest, rate, k, c, &gamma, slopes);
     by[BY_RATE] = slopes[2] * taut;
     by[BY_STIFFNESS] = slopes[3] * taut;
     by[BY_DAMPING] = slopes[4] * taut;
   } else {
-    if (s->law == LINEAR_STRINGS)
-      linear_undamped_force_density_slopes(length, rest, k, &gamma, slopes);
-    else
-      elastic_undamped_force_density_slopes(length, rest, k, &gamma, slopes);
+    if (s->law == LINEAR_STRINGS) linear_undamped_force_density_slopes(length, rest, k, &gamma, slopes);
+    else elastic_undamped_force_density_slopes(length, rest, k, &gamma, slopes);
     by[BY_STIFFNESS] = slopes[2] * taut;
   }
   by[BY_LENGTH] = slopes[0] * taut;
@@ -99,11 +96,11 @@ static Number string_slopes(const Scene *s, int i, Number length, Number rate, N
 
 /* What is at a point, or changes of it, in lanes. */
 typedef struct {
-  Number *p, *v, *f, *a;                                  /* (entries) */
-  Number *bar_rate, *bar_acceleration;                    /* (free bars, d): of their vectors */
-  Number *length;                                         /* (segments) */
-  Number *string_length, *string_rate, *tension, *input;  /* (strings) */
-  Number *unknowns;                                       /* of bars that share nodes */
+  Number *p, *v, *f, *a;                                 /* (entries) */
+  Number *bar_rate, *bar_acceleration;                   /* (free bars, d): of their vectors */
+  Number *length;                                        /* (segments) */
+  Number *string_length, *string_rate, *tension, *input; /* (strings) */
+  Number *unknowns;                                      /* of bars that share nodes */
 } Point;
 
 /* Changes of what strings are given, in lanes: null if none changes. */
@@ -186,10 +183,10 @@ typedef struct {
   const Steps *steps;
   const Switches *switches;
   Layout at;
-  double *twice;  /* (stages + 1, stages): what accelerations count by in places, of the end, too */
+  double *twice; /* (stages + 1, stages): what accelerations count by in places, of the end, too */
   Terms in_places, in_rates;
-  Number *drift; /* (stages + 1): what rates count by in places */
-  size_t apart;  /* accelerations of stages: those of free bars' vectors follow those of entries */
+  Number *drift;  /* (stages + 1): what rates count by in places */
+  size_t apart;   /* accelerations of stages: those of free bars' vectors follow those of entries */
   double *points; /* (steps, stages, numbers of a point) */
   Point now;
   Number *inputs, *taut, *q, *v, *accelerations, *x;
@@ -206,8 +203,8 @@ static size_t terms_size(size_t stages) {
 static size_t sweep_size(const Scene *s, const Drive *drive, const Tableau *method, const Layout *at) {
   const Runs alike = {0};
   const size_t stages = method->stages;
-  return shared_size(s, drive, &alike) + s->switches + stages * apart_of(s) + 4 * s->free +
-         point_size(s) + at->size + stages * at->size + (stages + 1) * (2 * stages + 1);
+  return shared_size(s, drive, &alike) + s->switches + stages * apart_of(s) + 4 * s->free + point_size(s) +
+         at->size + stages * at->size + (stages + 1) * (2 * stages + 1);
 }
 
 /* Of bars on their lengths: their vectors and rates, and three numbers. */
@@ -341,18 +338,17 @@ INLINE void advance_rows(const Terms *terms, int stage, size_t count, const Numb
                          const Number *start, const Number *rate, Number drift, Number *to) {
   size_t k = 0;
   for (; k + ROWS <= count; k += ROWS)
-    add_accelerations(ROWS, terms, stage, accelerations + k, start + k, rate ? rate + k : 0, drift,
-                      to + k);
+    add_accelerations(ROWS, terms, stage, accelerations + k, start + k, rate ? rate + k : 0, drift, to + k);
   for (; k < count; ++k)
     add_accelerations(1, terms, stage, accelerations + k, start + k, rate ? rate + k : 0, drift, to + k);
 }
 
 /* Places at a stage, or at the end of a step, from those at its begin, the rates there and the
    accelerations at stages, (stages, half). */
-static void advance_places(const Sweep *sweep, int stage, const Number *accelerations,
-                           const Number *place, const Number *rate, Number *to) {
-  advance_rows(&sweep->in_places, stage, sweep->scene->free, accelerations, place, rate,
-               sweep->drift[stage], to);
+static void advance_places(const Sweep *sweep, int stage, const Number *accelerations, const Number *place,
+                           const Number *rate, Number *to) {
+  advance_rows(&sweep->in_places, stage, sweep->scene->free, accelerations, place, rate, sweep->drift[stage],
+               to);
 }
 
 /* Rates of so many rows. */
@@ -462,8 +458,7 @@ static Inputs inputs_forward(const Scene *s, const Changes *c, int first, Number
   inputs.change = change;
   for (int i = 0; i < s->strings; ++i)
     change[i] = c->input ? *numbers(c->input + (size_t)c->columns * i + first) : all(0);
-  for (int m = 0; m < inputs.lanes; ++m)
-    inputs.beside[m] = lane(change + inputs.string[m], inputs.first + m);
+  for (int m = 0; m < inputs.lanes; ++m) inputs.beside[m] = lane(change + inputs.string[m], inputs.first + m);
   return inputs;
 }
 
@@ -503,8 +498,8 @@ static int needs_rates(const Scene *s) {
 }
 
 /* A block of columns over a step, after which bars are put on their lengths unless these are null. */
-static void step_block(const Sweep *sweep, const void *restored, int k, int in_lanes,
-                       const Changes *changes, int first, Number *block, Number *memory) {
+static void step_block(const Sweep *sweep, const void *restored, int k, int in_lanes, const Changes *changes,
+                       int first, Number *block, Number *memory) {
   const Scene *s = sweep->scene;
   const int stages = sweep->method->stages, is_plane = s->dimension == 2, has_rates = needs_rates(s);
   const size_t half = s->free, of_bars = sweep->apart - half;
@@ -514,8 +509,7 @@ static void step_block(const Sweep *sweep, const void *restored, int k, int in_l
   const Inputs inputs = inputs_forward(s, changes, first, now.input);
   const Given given = {inputs.change, changes->input ? 0 : inputs.own, inputs.strings};
   Point there = now;
-  if (s->free_row)
-    memset(now.p, 0, 2 * s->entries * sizeof *now.p);
+  if (s->free_row) memset(now.p, 0, 2 * s->entries * sizeof *now.p);
   else {
     there.p = q;
     there.v = v;
@@ -550,9 +544,9 @@ static void step_block(const Sweep *sweep, const void *restored, int k, int in_l
   pass_switches(sweep, k, inputs.change, block); /* the last stage was at the end */
 }
 
-void LANES_NAME(tangents)(const Scene *s, const Drive *drive, const Lengths *lengths,
-                          const Tableau *method, const Steps *steps, const Switches *switches,
-                          const Changes *changes, double *X, double *work) {
+void LANES_NAME(tangents)(const Scene *s, const Drive *drive, const Lengths *lengths, const Tableau *method,
+                          const Steps *steps, const Switches *switches, const Changes *changes, double *X,
+                          double *work) {
   const int columns = changes->columns, n = 2 * s->free;
   Sweep sweep;
   Number *blocks;
@@ -608,7 +602,7 @@ static void pass_switches_back(const Sweep *sweep, int k, const Changes *costs, 
   const Scene *s = sweep->scene;
   const Switches *switches = sweep->switches;
   const int first = switch_from(sweep, k);
-  const size_t half = s->free, n = 2 * half, apart = padded(s) - half; /* of rates in mu */
+  const size_t half = s->free, n = 2 * half, apart = padded(s) - half;  /* of rates in mu */
   const Shares shares = shares_of(costs, k, sweep->method->stages - 1); /* at the end */
   for (int e = switch_from(sweep, k + 1) - 1; e >= first; --e) {
     const double *by_state = switches->by_state + n * e;
@@ -643,8 +637,7 @@ static void step_cost(const Sweep *sweep, int k, int in_lanes, const Changes *co
   by.unknowns = memory + s->strings;
   for (int i = stages - 1; i >= 0; --i) {
     const double *x = point_of(sweep, in_lanes, i);
-    if (i == stages - 1 || (costs->profile && costs->profile->rows > 1))
-      shares = shares_of(costs, k, i);
+    if (i == stages - 1 || (costs->profile && costs->profile->rows > 1)) shares = shares_of(costs, k, i);
     count = 0;
     weight[count] = h * h * twice[stages * stages + i], vector[count++] = mu;
     weight[count] = h * method->b[i], vector[count++] = mu + size;
@@ -676,9 +669,9 @@ static void step_cost(const Sweep *sweep, int k, int in_lanes, const Changes *co
   add_vectors(stages, weight, vector, size, mu);
 }
 
-void LANES_NAME(costs)(const Scene *s, const Drive *drive, const Lengths *lengths,
-                       const Tableau *method, const Steps *steps, const Switches *switches,
-                       const Changes *costs, double *mu, double *work) {
+void LANES_NAME(costs)(const Scene *s, const Drive *drive, const Lengths *lengths, const Tableau *method,
+                       const Steps *steps, const Switches *switches, const Changes *costs, double *mu,
+                       double *work) {
   const size_t half = s->free, size = padded(s);
   Sweep sweep;
   double *of_state;
@@ -704,8 +697,8 @@ void LANES_NAME(costs)(const Scene *s, const Drive *drive, const Lengths *length
 
 /* ---- accelerations ---- */
 
-void LANES_NAME(accelerations)(const Scene *s, const Drive *drive, const Steps *steps,
-                               double *accelerations, double *work) {
+void LANES_NAME(accelerations)(const Scene *s, const Drive *drive, const Steps *steps, double *accelerations,
+                               double *work) {
   static const double nothing = 0;
   const Tableau here = {1, &nothing, &nothing, &nothing};
   Sweep sweep;

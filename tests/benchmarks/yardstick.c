@@ -38,17 +38,14 @@ static void accelerate(const Scene *s, const double *restrict p, const double *r
                        const double *restrict f, double *restrict out) {
   for (int i = 0; i < s->bars; ++i) {
     const int a = 3 * s->bar[2 * i], b = 3 * s->bar[2 * i + 1];
-    const double m = s->mass[i], bx = p[b] - p[a], by = p[b + 1] - p[a + 1],
-                 bz = p[b + 2] - p[a + 2];
+    const double m = s->mass[i], bx = p[b] - p[a], by = p[b + 1] - p[a + 1], bz = p[b + 2] - p[a + 2];
     const double dx = v[b] - v[a], dy = v[b + 1] - v[a + 1], dz = v[b + 2] - v[a + 2];
     const double fx = f[b] - f[a], fy = f[b + 1] - f[a + 1], fz = f[b + 2] - f[a + 2];
-    const double lambda = -(m / 12 * (dx * dx + dy * dy + dz * dz) +
-                            (bx * fx + by * fy + bz * fz) / 2) /
+    const double lambda = -(m / 12 * (dx * dx + dy * dy + dz * dz) + (bx * fx + by * fy + bz * fz) / 2) /
                           (bx * bx + by * by + bz * bz);
     const double r = 1 / m, k = 6 * r * lambda;
     const double hx = 3 * r * fx + k * bx, hy = 3 * r * fy + k * by, hz = 3 * r * fz + k * bz;
-    const double cx = r * (f[a] + f[b]), cy = r * (f[a + 1] + f[b + 1]),
-                 cz = r * (f[a + 2] + f[b + 2]);
+    const double cx = r * (f[a] + f[b]), cy = r * (f[a + 1] + f[b + 1]), cz = r * (f[a + 2] + f[b + 2]);
     out[a] = cx - hx;
     out[a + 1] = cy - hy;
     out[a + 2] = cz - hz;
@@ -72,18 +69,18 @@ static double now(void) {
 }
 
 /* Seconds of one evaluation of the yardstick, over so many. */
-double time_yardstick(const Scene *s, const double *x, const double *u, const double *taut,
-                      double *xdot, int repeats) {
+double time_yardstick(const Scene *s, const double *x, const double *u, const double *taut, double *xdot,
+                      int repeats) {
   const double began = now();
   for (int i = 0; i < repeats; ++i) slope(s, x, u, taut, xdot);
   return (now() - began) / repeats;
 }
 
 /* The same for the slope of the compiled core, by its records of a scene and of its inputs. */
-double time_core(void (*function)(const void *, const void *, const double *, const double *,
-                                  double *, double *),
-                 const void *scene, const void *drive, const double *x, const double *taut,
-                 double *xdot, double *work, int repeats) {
+double time_core(void (*function)(const void *, const void *, const double *, const double *, double *,
+                                  double *),
+                 const void *scene, const void *drive, const double *x, const double *taut, double *xdot,
+                 double *work, int repeats) {
   const double began = now();
   for (int i = 0; i < repeats; ++i) function(scene, drive, x, taut, xdot, work);
   return (now() - began) / repeats;
