@@ -77,7 +77,8 @@ class Trajectory(Viewable):
         Estimate of the error of the nodes at each time, as part of the size: of the node that is
         off most. It is the difference from the same motion at another resolution, with a copy of
         the controller in the loop, so that it sees what magnifies errors. Commands of a function
-        are replayed. Infinite from where the other motion could not go on. None where it was left out, or the run ended early.
+        are replayed. Infinite from where the other motion could not go on. None where it was left
+        out, or the run ended early.
     error_limit : float
         Limit on the error, as part of the size, up to which the motion is trusted.
     faults : tuple of Fault

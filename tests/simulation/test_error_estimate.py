@@ -225,9 +225,7 @@ def test_commands_of_a_function_are_replayed(example):
             calls.append(time)
             return law.command(time, N, V).value
 
-        run = tc.simulate(
-            model, 0.4, start, controller=command, sample_time=sample_time, step=2e-3
-        )
+        run = tc.simulate(model, 0.4, start, controller=command, sample_time=sample_time, step=2e-3)
         assert len(calls) == len(run.control.time)
         calls.clear()
         wound = np.column_stack([run.control.applied, run.control.applied[:, -1]])
