@@ -66,15 +66,20 @@ def main() -> int:
         subprocess.run(
             ["gcc", "-shared", "-fPIC", "-o", "dlopen.so", "dlopen.c", "-ldl"], cwd=copy, check=True
         )
-        library = subprocess.run(
-            ["gcc", "-print-file-name=libasan.so"], check=True, capture_output=True, text=True
-        ).stdout.strip()
+        libraries = [
+            subprocess.run(
+                ["gcc", f"-print-file-name={name}"], check=True, capture_output=True, text=True
+            ).stdout.strip()
+            # The sanitizer passes on what C++ throws, if it sees the library of C++ at its start.
+            for name in ("libasan.so", "libstdc++.so.6")
+        ]
         # Python itself leaks; and what it loads is not told apart from the core.
         watched = {
-            "LD_PRELOAD": f"{copy / 'dlopen.so'} {library}",
+            "LD_PRELOAD": " ".join([str(copy / "dlopen.so"), *libraries]),
             "ASAN_OPTIONS": "detect_leaks=0:verify_asan_link_order=0",
         }
-        command = [sys.executable, "-c", TESTED_HERE, "-q", "-p", "no:cacheprovider", *TESTS]
+        # A capture would swallow what the sanitizer says as it ends the process.
+        command = [sys.executable, "-c", TESTED_HERE, "-qs", "-p", "no:cacheprovider", *TESTS]
         return subprocess.run(command, cwd=copy, env=os.environ | watched, check=False).returncode
 
 
