@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 # Numbers of a program are below this; a bound beyond it is none.
 _LARGEST = 1e20
 
+# Of a program, where none are asked for.
+MOST_ITERATIONS = 4000
+
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:

@@ -25,7 +25,7 @@ from tenscontrol.control.mpc.problem import (
     RowBlock,
     string_block,
 )
-from tenscontrol.control.mpc.qp_solver import QPSolver
+from tenscontrol.control.mpc.qp_solver import MOST_ITERATIONS, QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.core.library import absence, library
 from tenscontrol.fields import check_fields, checked, optional
@@ -178,8 +178,9 @@ class MPCSettings:
         Absolute and relative tolerance of the solver. That of OSQP is where ADMM stops; the exact
         solution is found from there. Its unit is that of an input: the largest γ at the operating
         point, or the largest stretch.
-    max_iterations : int
-        Most iterations of the solver.
+    max_iterations : int, optional
+        Most iterations of the solver. 4,000 if not given; for "stages", whose iterations are
+        changes of the active set, 10 for each limit of the program where that is more.
     time_limit : float, optional
         Most computing time of a command, s, from its call. A program that is not solved by then is
         given up at the end of an iteration of the solver. The few operations that follow are not
@@ -225,7 +226,7 @@ class MPCSettings:
     tolerance: float = field(
         default=1e-4, metadata=checked(validation.positive_number, "units of an input")
     )
-    max_iterations: int = field(default=4000, metadata=checked(validation.whole_number, 1))
+    max_iterations: int | None = field(default=None, metadata=optional(validation.whole_number, 1))
     time_limit: float | None = field(default=None, metadata=checked(_time))
     solver: str | type[QPSolver] = field(default="auto", metadata=checked(_solver))
 
@@ -304,7 +305,8 @@ def uses_stages(settings: MPCSettings) -> bool:
 def make_solver(settings: MPCSettings, form: Sparse, equations: bool = False) -> QPSolver:
     """Return a solver of a sparse program, as it is before the first solve."""
     kind = OSQPSolver if isinstance(settings.solver, str) else settings.solver
-    return kind(form.P, form.A, settings.tolerance, settings.max_iterations, equations=equations)
+    iterations = settings.max_iterations or MOST_ITERATIONS
+    return kind(form.P, form.A, settings.tolerance, iterations, equations=equations)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ from tenscontrol.control.mpc.problem import (
     SubproblemSolution,
     Triple,
 )
+from tenscontrol.control.mpc.qp_solver import MOST_ITERATIONS
 from tenscontrol.core.library import library
 from tenscontrol.plant.linear_plant import tall_qr
 from tenscontrol.status import Status
@@ -39,6 +40,10 @@ STAGES_TOLERANCE = 1e-10
 
 # Of c of thin factors: rows are sums of parts that are larger by one over it, and cancel.
 _LEAST_SHRINK = 5e-3
+
+# Changes of the active set for each limit, where no number is asked for: random programs from far
+# out took 8 at most.
+_MOST_CHANGES = 10
 
 _SIZES = (
     "stages", "states", "inputs", "limited", "ramp", "changes", "soft", "limit", "ahead", "alike",
@@ -133,7 +138,11 @@ def _thin_factors(problem: MPCProblem) -> tuple[FloatArray, ...] | None:
 
 
 def stages_data(
-    problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair, alike: bool = False
+    problem: MPCProblem,
+    row_bounds: Pair,
+    max_iterations: int | None,
+    bounds: Pair,
+    alike: bool = False,
 ) -> tuple[dict[str, int], dict[str, np.ndarray]]:
     """Return the records ``StagesSizes`` and ``StagesData`` of ``stages.h``, by field."""
     N, (m, a) = problem.length, problem.input_matrix.shape
@@ -161,7 +170,7 @@ def stages_data(
         "ramp": int(ramp),
         "changes": int(change is not None),
         "soft": int(np.isfinite(price).sum()),
-        "limit": max_iterations,
+        "limit": max_iterations or max(MOST_ITERATIONS, _MOST_CHANGES * price.size),
         "ahead": 0 if rows is None else int(rows.by_next_state.any()),
         "alike": int(alike),
         "thin": int(thin is not None),
@@ -185,7 +194,12 @@ class _CoreProgram:
     """A ``StagesProgram`` of the core with its memory; z, u and y are views of it."""
 
     def __init__(
-        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair, alike: bool
+        self,
+        problem: MPCProblem,
+        row_bounds: Pair,
+        max_iterations: int | None,
+        bounds: Pair,
+        alike: bool,
     ) -> None:
         core, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
         sizes, data = stages_data(problem, row_bounds, max_iterations, bounds, alike)
@@ -265,7 +279,7 @@ class StagesSubproblem(Subproblem):
     solver_name = "stages"
 
     def __init__(
-        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair,
+        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int | None, bounds: Pair,
         tolerance: float = 0.0,
     ) -> None:  # fmt: skip
         self._made_of = problem, row_bounds, max_iterations, bounds, tolerance
@@ -327,7 +341,7 @@ class StagesProgram(LinearProgram):
     solver_name = "stages"
 
     def __init__(
-        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
+        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int | None, bounds: Pair
     ) -> None:
         self._made_of = problem, row_bounds, max_iterations, bounds
         self._alike = alike = problem.steady

@@ -145,3 +145,12 @@ def test_a_program_without_solution_is_told_and_forgotten():
     command = law.command(0.02, plant.nodes, still)
     assert command.status == "ok"
     np.testing.assert_allclose(command.value, plant.equilibrium_input, atol=1e-12)
+
+
+def test_most_changes_grow_with_the_limits_where_no_number_is_asked_for(monkeypatch):
+    monkeypatch.setattr("tenscontrol.control.mpc.stages.MOST_ITERATIONS", 1)
+    plant, given, size = scene("tower")
+    law = tc.MPC(plant, horizon=6, sample_time=0.02, **given)
+    q = size * np.random.default_rng(0).normal(size=plant.degrees_of_freedom)
+    assert law.command(0.0, plant.to_nodes(q), np.zeros_like(plant.nodes)).status == "ok"
+    assert law.statistics.iterations[0] > 1
