@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import subprocess
 import sys
 import sysconfig
 import threading
@@ -25,6 +26,7 @@ import tenscontrol as tc
 from tenscontrol.deploy import compiled_controller
 from tenscontrol.dynamics import machine_code
 from tests.dynamics.scenes import TOP_FORCE_DENSITY, paper_force_density, rest_lengths
+from tests.fuzz.sanitizers import LOOPS_OF_SOLVERS
 from tests.located_motion import exact_motion
 from tests.oracle import HeldRestLength
 
@@ -74,11 +76,33 @@ def only_own_garbage():
 @pytest.fixture(autouse=True, scope="session")
 def compiled_quickly():
     """Compiling takes longer here than running what was compiled. Return what users have."""
-    flags = machine_code.FLAGS
+    flags, usual, objects = machine_code.FLAGS, machine_code.compiler(), {}
+
+    def link(command, sources, library, timeout, options=()):
+        """Link C code; of solvers, which most controllers share, each text is compiled once."""
+        if command == usual:
+            options_alone = [flag for flag in machine_code.FLAGS if flag != "-shared"]
+            compile_one = [*command, *options_alone, *options]
+            sources = [object_of(file, compile_one, library.parent) for file in sources]
+        machine_code.link(command, sources, library, timeout, options)
+
+    def object_of(file, command, folder):
+        if file.name not in LOOPS_OF_SOLVERS:
+            return file
+        text = subprocess.run([*command, "-E", "-P", file], check=True, capture_output=True).stdout
+        key = *command, text
+        compiled = folder / f"{file.stem}.o"
+        if key not in objects:
+            subprocess.run([*command, "-c", file, "-o", compiled], check=True)
+            objects[key] = compiled.read_bytes()
+        compiled.write_bytes(objects[key])
+        return compiled
+
     with pytest.MonkeyPatch.context() as patch:
         quick = tuple("-O0" if flag == "-O3" else flag for flag in flags)
         patch.setattr(machine_code, "FLAGS", quick)
         patch.setattr(compiled_controller, "OPTIMIZATION", "-O0")
+        patch.setattr(compiled_controller, "link", link)
         yield flags
 
 
