@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from unittest.mock import patch
 
-import pytest
-
 # Steps, runs and programs of MPC take other lines of the package where there is no core. These
 # tests, of those that were tried, run all such lines; more of their kind repeat them.
 _TESTS = (
@@ -46,4 +44,6 @@ def without_core() -> Iterator[None]:
 
 
 if __name__ == "__main__":
+    import pytest  # benchmarks, which need no pytest, use the rest
+
     sys.exit(pytest.main(["-q", *_TESTS]))
