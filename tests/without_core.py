@@ -22,12 +22,7 @@ _TESTS = (
         f"::test_inputs_are_those_of_the_optimality_conditions[{scene}-0]"
         for scene in ("ball", "class_2_tower", "tower")
     ),
-    # Pages of nonlinear MPC by OSQP, driven bars, batches, models that are stepped, the ground,
-    # and a bar that hangs and swings.
-    *(
-        f"tests/test_pages.py::test_{page}"
-        for page in ("mpc", "winches", "faults", "stepping", "ground", "coming_from")
-    ),
+    "tests/test_pages.py",
     # Generated code has the C sources of the solvers, which the package brings then too.
     "tests/deploy/test_generated_code.py::test_force_density_along_a_moving_reference",
     "tests/deploy/test_generated_code.py::test_rest_length_with_winches_and_soft_limits",
