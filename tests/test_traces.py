@@ -183,7 +183,7 @@ def test_what_a_later_run_costs_beside_its_steps(scene):
 
 # NumPy and Python differ by some calls from version to version.
 @needs_core
-@pytest.mark.parametrize(("error", "most"), [("none", 550), ("estimate", 790)])
+@pytest.mark.parametrize(("error", "most"), [("none", 550), ("estimate", 788)])
 def test_a_later_run_enters_few_functions(error, most):
     scene = MOTIONS["taut"].make(5.0)
 

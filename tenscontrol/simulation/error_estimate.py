@@ -115,15 +115,10 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
 
-def _among(outputs: IntArray, some: IntArray) -> tuple[IntArray, np.ndarray]:
-    """Return how many of some are below each output, and whether it is one; both ascending."""
-    below = some.searchsorted(outputs)
-    return below, np.concatenate((some, _NO_OUTPUT)).take(below) == outputs
-
-
 def _common(one: IntArray, other: IntArray) -> IntArray:
-    """Return the outputs that are among both, ascending."""
-    among: IntArray = other[_among(other, one)[1]]
+    """Return the outputs that are among both, ascending as each is."""
+    below = one.searchsorted(other)  # how many of one are below each of the other
+    among: IntArray = other[np.concatenate((one, _NO_OUTPUT)).take(below) == other]
     return among
 
 
@@ -388,19 +383,22 @@ class Motion:
 
         At one that the other does not have, it is the larger of those beside.
         """
-        columns = _common(self.path.columns, other.columns)
+        own = self.path.columns
+        columns = _common(own, other.columns)
         off = self._distance(self.path.at(columns), other.at(columns))
         off = off if off.ndim > 1 else off[None]
         if self.path.work is not None:
             work = np.abs(self.path.work_at(columns) - other.work_at(columns))
             off = np.vstack([off, work])
-        if len(columns) == len(self.path.columns):
+        if len(columns) == len(own):
             return off
         beside = np.zeros((len(off), len(columns) + 2))
         beside[:, 1:-1], beside[:, -1] = off, np.inf
-        below, is_met = _among(self.path.columns, columns)
-        earlier = np.where(is_met, 0.0, beside.take(below, axis=1))
-        return np.maximum(beside.take(below + 1, axis=1), earlier)
+        is_met = np.zeros(len(own), dtype=bool)
+        is_met[own.searchsorted(columns)] = True
+        before = is_met.cumsum()  # of one that is met itself, and so is what follows
+        after = before + ~is_met
+        return np.maximum(beside.take(before, axis=1), beside.take(after, axis=1))
 
     def _distance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Return the largest distance of a node between positions, as part of the size."""
